@@ -1,0 +1,103 @@
+"""Folders that appear whole or not at all.
+
+A folder is built beside its target under a hidden name and then swapped in with one rename, so that a crash, a kill
+or a full disk leaves either what was there before or what should be there, never half of it.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import shutil
+import sys
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from torchmat.errors import DataError, message
+
+_EXCHANGE = 2  # RENAME_EXCHANGE of linux/fs.h
+_AT_FDCWD = -100
+
+
+def _process_alive(process: int) -> bool:
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    except OSError:
+        return True
+    return True
+
+
+def _prefix(target: Path) -> str:
+    return f".{target.name}.building-"
+
+
+def _sweep(target: Path) -> None:
+    """Remove what builders of the same target left behind when they were killed."""
+    for stale in target.parent.glob(f"{_prefix(target)}*"):
+        owner = stale.name.removeprefix(_prefix(target)).split("-")[0]
+        if owner.isdigit() and not _process_alive(int(owner)):
+            shutil.rmtree(stale, ignore_errors=True)
+
+
+def _exchange(first: Path, second: Path) -> bool:
+    """Swap two folders in one step where the system can (Linux); return False where it cannot."""
+    if not sys.platform.startswith("linux"):
+        return False
+    call = getattr(ctypes.CDLL(None, use_errno=True), "renameat2", None)
+    if call is None:
+        return False
+    return call(_AT_FDCWD, os.fsencode(first), _AT_FDCWD, os.fsencode(second), _EXCHANGE) == 0
+
+
+def _sync(folder: Path) -> None:
+    """Flush a folder's files, so that the rename never becomes durable before the content."""
+    for path in folder.rglob("*"):
+        if path.is_file():
+            with open(path, "rb") as stream:
+                os.fsync(stream.fileno())
+
+
+def _install(built: Path, target: Path) -> None:
+    if not target.exists():
+        os.rename(built, target)
+        return
+    if _exchange(built, target):
+        shutil.rmtree(built)
+        return
+    # Without an exchange there is a moment with neither; the old folder then stands under the hidden name.
+    aside = built.with_name(built.name + "-old")
+    os.rename(target, aside)
+    os.rename(built, target)
+    shutil.rmtree(aside)
+
+
+@contextmanager
+def building(target: str | Path, durable: bool = True) -> Iterator[Path]:
+    """Yield an empty folder beside `target`; swap it in as `target` when the block ends without an error.
+
+    `durable` flushes the files first. Raises DataError, which names the folder, when it cannot be made; whatever the
+    block raises passes through after the half-built folder is removed and the old one left as it was.
+    """
+    target = Path(os.path.abspath(target))
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        _sweep(target)
+        built = Path(tempfile.mkdtemp(prefix=f"{_prefix(target)}{os.getpid()}-", dir=target.parent))
+        built.chmod(0o755)
+    except OSError as error:
+        step = "Choose a folder that can be written to."
+        raise DataError(message(str(target), "the folder", "be writable", str(error), step)) from error
+    try:
+        yield built
+        if durable:
+            _sync(built)
+        _install(built, target)
+    except OSError as error:
+        step = "Free some space or choose another folder; what was there before is untouched."
+        raise DataError(message(str(target), "the folder", "be written whole", str(error), step)) from error
+    finally:
+        shutil.rmtree(built, ignore_errors=True)

@@ -1,0 +1,296 @@
+"""Btf: many images of one flat sample, each under a known light and view, validated once."""
+
+from __future__ import annotations
+
+import mmap
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from torchmat.btf.decode import Decoder
+from torchmat.errors import RangeError, ShapeError, check_finite, check_unit, message
+
+# Flag codes of a sample. Zero means valid, so that an untouched (sparse) file of flags means "all valid".
+VALID, CLIPPED, INVALID = 0, 1, 2
+_RELEASE_BYTES = 256_000_000  # a smaller store stays mapped: faulting its pages in again costs more than it saves
+BLOCK_VALUES = 8_000_000  # values of one decoded block: 32 MB in float32, small beside any BTF worth streaming
+_DIRECTION_DECIMALS = 4  # directions closer than about 1e-4 (0.006 degrees) are one direction
+
+
+@dataclass
+class PixelStore:
+    """The stored codes of all images, in memory or mapped from a file.
+
+    `pixels` [sample, 3, H, W] in any decodable type; `flags` [sample, H, W] uint8 of VALID, CLIPPED, INVALID, or None
+    when every sample is valid; `clipped` and `invalid` [sample] count the flagged texels of each image; `low` and
+    `high` [sample] are the smallest and largest code.
+    """
+
+    pixels: np.ndarray
+    flags: np.ndarray | None
+    clipped: np.ndarray
+    invalid: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+
+    def release(self) -> None:
+        """Drop mapped pages from memory, so that a pass over a large file leaves no trace in the process."""
+        for array in (self.pixels, self.flags):
+            mapped = getattr(array, "_mmap", None)
+            large = mapped is not None and array.nbytes > _RELEASE_BYTES
+            if large and hasattr(mmap, "MADV_DONTNEED"):
+                mapped.madvise(mmap.MADV_DONTNEED)
+
+
+class Block(NamedTuple):
+    """A run of consecutive samples.
+
+    `samples` are its indices [k]; `images` [k, 3, H, W] linear; `weight` [k, 1, H, W] in [0, 1], or None when it is
+    1 throughout. The tensors are scratch: they may be overwritten, and hold until the next block is asked for.
+    """
+
+    samples: range
+    images: Tensor
+    weight: Tensor | None
+
+
+@dataclass(frozen=True)
+class Source:
+    """Where a Btf came from: shown by `torchmat info`, kept in a material's provenance."""
+
+    kind: str = "tensors"
+    path: str = "memory"
+    files: tuple[str, ...] = field(default=(), repr=False)
+    load_seconds: float = 0.0
+    from_cache: bool = False
+
+
+def unique_directions(directions: Tensor) -> tuple[Tensor, Tensor]:
+    """Return the distinct rows of [n, 3] unit vectors, from the pole outward, and each row's index among them."""
+    rounded = torch.round(directions.double(), decimals=_DIRECTION_DECIMALS) + 0.0  # + 0.0 turns -0.0 into 0.0
+    keys = torch.stack((-rounded[:, 2], torch.atan2(rounded[:, 1], rounded[:, 0]), rounded[:, 0]), dim=1)
+    distinct, inverse = torch.unique(keys, dim=0, return_inverse=True)
+    first = torch.full((len(distinct),), len(directions), dtype=torch.long)
+    first.scatter_reduce_(0, inverse, torch.arange(len(directions)), reduce="amin")
+    return directions[first], inverse
+
+
+class Btf:
+    """Images of a material under many lights and views.
+
+    `light` and `view` are [sample, 3] unit vectors away from the surface, in the frame x right, y up, z normal. A
+    value is ``pi * f_r * cos(light)`` in linear RGB. `clipped_weight` in [0, 1] is what a clipped sample counts in a
+    fit; an invalid one counts nothing.
+    """
+
+    def __init__(
+        self,
+        store: PixelStore,
+        light: Tensor,
+        view: Tensor,
+        decoder: Decoder,
+        source: Source | None = None,
+        clipped_weight: float = 1.0,
+    ) -> None:
+        self._store = store
+        self._decoder = decoder
+        self.light = light
+        self.view = view
+        self.source = source or Source()
+        self.clipped_weight = clipped_weight
+        self.lights, self.light_index = unique_directions(light)
+        self.views, self.view_index = unique_directions(view)
+        self._validate()
+
+    def _validate(self) -> None:
+        where, count = self.source.path, len(self._store.pixels)
+        if self._store.pixels.ndim != 4 or self._store.pixels.shape[1] != 3 or 0 in self._store.pixels.shape:
+            fact = f"their shape is {tuple(self._store.pixels.shape)}"
+            raise ShapeError(message(where, "images", "be [sample, 3, H, W] with no dimension of 0", fact))
+        for name, direction in (("light", self.light), ("view", self.view)):
+            if direction.shape != (count, 3):
+                fact = f"there are {count} images and {name} is {tuple(direction.shape)}"
+                raise ShapeError(message(where, name, "be [sample, 3]", fact))
+            check_unit(where, name, direction, "Divide each by its length.")
+        below = self.view[:, 2] <= 0
+        if bool(below.any()):
+            fact = f"{int(below.sum())} of {count} views have z <= 0, first at sample {int(below.nonzero()[0, 0])}"
+            raise RangeError(message(where, "view", "lie above the surface", fact, "Remove those images."))
+        if not 0 <= self.clipped_weight <= 1:
+            raise RangeError(message(where, "clipped_weight", "lie in [0, 1]", f"it is {self.clipped_weight}"))
+
+    @classmethod
+    def from_tensors(
+        cls, images: Tensor | np.ndarray, light: Tensor | np.ndarray, view: Tensor | np.ndarray,
+        weight: Tensor | np.ndarray | None = None,
+    ) -> Btf:
+        """Build a Btf from linear images [sample, 3, H, W] and unit directions [sample, 3].
+
+        `weight` [sample, 1, H, W] or [sample, H, W], boolean or 0/1, marks the samples that count; where it is 0 the
+        image may hold anything, NaN included. Raises ShapeError, RangeError (not finite, not unit, view below).
+        """
+        images = torch.as_tensor(images)
+        light, view = torch.as_tensor(light), torch.as_tensor(view)
+        if images.ndim != 4 or images.shape[1] != 3 or 0 in images.shape:
+            fact = f"their shape is {tuple(images.shape)}"
+            raise ShapeError(message("Btf.from_tensors", "images", "be [sample, 3, H, W] with no dimension of 0", fact))
+        images = images.double() if images.dtype == torch.float64 else images.float()
+        count, _, height, width = images.shape
+        flags = np.zeros((count, height, width), dtype=np.uint8)
+        if weight is not None:
+            weight = torch.as_tensor(weight)
+            if weight.numel() != flags.size:
+                fact = f"it is {tuple(weight.shape)} for images {tuple(images.shape)}"
+                raise ShapeError(message("Btf.from_tensors", "weight", "be [sample, 1, H, W]", fact))
+            off = weight.reshape(flags.shape) == 0
+            flags[off.numpy()] = INVALID
+            images = torch.where(off[:, None], torch.zeros((), dtype=images.dtype), images)
+        step = "Repair those values, or give them weight 0."
+        check_finite("Btf.from_tensors", "images", images, step)
+        pixels = images.contiguous().numpy()
+        store = summarise(pixels, flags)
+        dtype = images.dtype
+        return cls(store, light.to(dtype), view.to(dtype), Decoder(pixels.dtype, "linear", 1.0))
+
+    def __len__(self) -> int:
+        return len(self._store.pixels)
+
+    def __repr__(self) -> str:
+        size = f"{self.height} x {self.width}"
+        return f"Btf({self.source.kind}, {len(self)} samples, {len(self.lights)} lights, {len(self.views)} views, {size})"
+
+    @property
+    def height(self) -> int:
+        """Rows of texels."""
+        return self._store.pixels.shape[2]
+
+    @property
+    def width(self) -> int:
+        """Columns of texels."""
+        return self._store.pixels.shape[3]
+
+    @property
+    def encoding(self) -> str:
+        """How the stored codes are read: "srgb" or "linear"."""
+        return self._decoder.encoding
+
+    @property
+    def exposure(self) -> float:
+        """The factor that values were divided by."""
+        return self._decoder.exposure
+
+    @property
+    def stored_dtype(self) -> str:
+        """The type of the stored codes, e.g. "uint8" or "float16"."""
+        return self._store.pixels.dtype.name
+
+    @property
+    def clipped_share(self) -> float:
+        """Share of all samples (texel x image) that stand at the largest code in some channel."""
+        return float(self._store.clipped.sum() / (len(self) * self.height * self.width))
+
+    @property
+    def invalid_share(self) -> float:
+        """Share of all samples (texel x image) that carry no data."""
+        return float(self._store.invalid.sum() / (len(self) * self.height * self.width))
+
+    @property
+    def value_range(self) -> tuple[float, float]:
+        """Smallest and largest linear value over all images."""
+        ends = np.array([self._store.low.min(), self._store.high.max()]).astype(self._store.pixels.dtype)
+        low, high = self._decoder.into(ends, torch.empty(2)).tolist()
+        return low, high
+
+    def image(self, index: int) -> Tensor:
+        """Return one image [3, H, W], float32, linear."""
+        return self.images([index])[0]
+
+    def weight(self, index: int) -> Tensor:
+        """Return what each texel of one image counts, [1, H, W] in [0, 1]."""
+        return self.weights([index])[0]
+
+    def images(self, indices: Sequence[int] | Tensor, dtype: torch.dtype = torch.float32) -> Tensor:
+        """Return chosen images [k, 3, H, W], linear."""
+        rows = np.asarray(torch.as_tensor(indices).tolist(), dtype=np.int64)
+        codes = np.ascontiguousarray(self._store.pixels[rows])
+        return self._decoder.into(codes, torch.empty(codes.shape, dtype=dtype))
+
+    def weights(self, indices: Sequence[int] | Tensor) -> Tensor:
+        """Return the weights of chosen images [k, 1, H, W] in [0, 1]."""
+        rows = np.asarray(torch.as_tensor(indices).tolist(), dtype=np.int64)
+        if self._store.flags is None:
+            return torch.ones(len(rows), 1, self.height, self.width)
+        return self._to_weight(self._store.flags[rows])
+
+    def clipped(self, indices: Sequence[int] | Tensor) -> Tensor:
+        """Return where chosen images are clipped, bool [k, 1, H, W]."""
+        rows = np.asarray(torch.as_tensor(indices).tolist(), dtype=np.int64)
+        if self._store.flags is None:
+            return torch.zeros(len(rows), 1, self.height, self.width, dtype=torch.bool)
+        return torch.from_numpy(self._store.flags[rows] == CLIPPED)[:, None]
+
+    def valid(self, indices: Sequence[int] | Tensor) -> Tensor:
+        """Return where chosen images hold data, bool [k, 1, H, W]."""
+        rows = np.asarray(torch.as_tensor(indices).tolist(), dtype=np.int64)
+        if self._store.flags is None:
+            return torch.ones(len(rows), 1, self.height, self.width, dtype=torch.bool)
+        return torch.from_numpy(self._store.flags[rows] != INVALID)[:, None]
+
+    @property
+    def clip_level(self) -> float:
+        """The linear value of a clipped channel; infinite for data that does not clip."""
+        return float("inf") if self._decoder.full_code is None else (1 - 1e-6) / self._decoder.exposure
+
+    def _to_weight(self, flags: np.ndarray) -> Tensor:
+        table = torch.tensor([1.0, self.clipped_weight, 0.0])
+        return table[torch.from_numpy(flags.astype(np.int64))][:, None]
+
+    def blocks(self, wanted: Tensor | None = None, dtype: torch.dtype = torch.float32) -> Iterator[Block]:
+        """Stream all samples in their stored order, a run at a time.
+
+        `wanted`, bool [sample], skips runs that hold none of the wanted samples; other runs come whole, since reading
+        in order is faster than picking. Mapped pages are dropped behind the pass, so memory stays bounded.
+        """
+        step = max(1, BLOCK_VALUES // (3 * self.height * self.width))
+        buffer = torch.empty(min(step, len(self)), 3, self.height, self.width, dtype=dtype)
+        flagged = self._reduced()
+        for first in range(0, len(self), step):
+            samples = range(first, min(first + step, len(self)))
+            if wanted is not None and not bool(wanted[first : samples.stop].any()):
+                continue
+            codes = np.ascontiguousarray(self._store.pixels[first : samples.stop])
+            images = self._decoder.into(codes, buffer[: len(samples)])
+            weight = None
+            if self._store.flags is not None and flagged[first : samples.stop].any():
+                weight = self._to_weight(self._store.flags[first : samples.stop])
+            yield Block(samples, images, weight)
+            self._store.release()
+
+    def weight_blocks(self, wanted: Tensor | None = None) -> Iterator[tuple[range, Tensor]]:
+        """Stream the weights [k, 1, H, W] of just those runs of samples in which some weight is below 1."""
+        if self._store.flags is None:
+            return
+        step = max(1, BLOCK_VALUES // (3 * self.height * self.width))
+        reduced = torch.from_numpy(self._reduced() > 0)
+        wanted = reduced if wanted is None else reduced & wanted
+        for first in range(0, len(self), step):
+            samples = range(first, min(first + step, len(self)))
+            if bool(wanted[first : samples.stop].any()):
+                yield samples, self._to_weight(self._store.flags[first : samples.stop])
+                self._store.release()
+
+    def _reduced(self) -> np.ndarray:
+        """Count, for each sample, the texels whose weight is below 1."""
+        return self._store.invalid + (self._store.clipped if self.clipped_weight < 1 else 0)
+
+
+def summarise(pixels: np.ndarray, flags: np.ndarray) -> PixelStore:
+    """Make a PixelStore of codes [sample, 3, H, W] and flags [sample, H, W], with its counts and ranges."""
+    clipped = (flags == CLIPPED).sum(axis=(1, 2))
+    invalid = (flags == INVALID).sum(axis=(1, 2))
+    kept = flags if (clipped.any() or invalid.any()) else None
+    return PixelStore(pixels, kept, clipped, invalid, pixels.min(axis=(1, 2, 3)), pixels.max(axis=(1, 2, 3)))

@@ -1,0 +1,111 @@
+"""load_btf: the one door for measured data."""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+import torch
+
+from torchmat.btf.btf import Btf, PixelStore, Source, unique_directions
+from torchmat.btf.cache import PixelOptions, open_store
+from torchmat.btf.decode import ENCODINGS, Decoder, resolve_encoding
+from torchmat.btf.readers import Listing, read_listing
+from torchmat.btf.source import open_source
+from torchmat.errors import RangeError, check_option, message
+
+_TABLE_SUFFIXES = (".csv", ".lp")
+
+
+def load_btf(
+    path: str | Path,
+    kind: str | None = None,
+    *,
+    encoding: str = "auto",
+    exposure: float = 1.0,
+    crop: Sequence[int] | None = None,
+    downscale: int = 1,
+    lights: Sequence[int] | None = None,
+    views: Sequence[int] | None = None,
+    invalid: str = "error",
+    duplicates: str = "error",
+    normalise: bool = False,
+    clipped_weight: float = 1.0,
+    cache: bool | str | Path = True,
+    progress: bool | None = None,
+) -> Btf:
+    """Load a measured BTF or RTI capture from a folder or a zip.
+
+    `kind` is "ubo2003", "utia", "manifest" or "rti"; None finds it from the names. Values come out linear, divided by
+    `exposure`; `encoding` "auto" reads integer files as sRGB and floating-point files as linear. `crop` is (top, left,
+    height, width) in texels, `downscale` a whole factor averaged in linear light. `lights` and `views` keep only the
+    directions with those numbers in the order of ``btf.lights``, ``btf.views``. NaN and Inf are an error unless
+    `invalid` is "mask" (weight 0); repeated directions are one unless `duplicates` is "keep"; directions that are not
+    unit are one unless `normalise`. Samples at the largest 8- or 16-bit code are clipped: they count
+    `clipped_weight` in a fit. `cache` is True (the user's cache folder, or $TORCHMAT_CACHE), a folder, or False.
+
+    Raises DataError, ShapeError or RangeError, each naming the file.
+    """
+    start = time.perf_counter()
+    check_option("load_btf", "encoding", encoding, ENCODINGS)
+    check_option("load_btf", "invalid", invalid, ("error", "mask"))
+    check_option("load_btf", "duplicates", duplicates, ("error", "keep"))
+    if not 0 < exposure < float("inf"):
+        raise RangeError(message("load_btf", "exposure", "be positive and finite", f"it is {exposure}"))
+    path = Path(path)
+    if path.suffix.lower() in _TABLE_SUFFIXES and path.is_file():
+        path = path.parent
+    options = PixelOptions(
+        crop=tuple(int(n) for n in crop) if crop is not None else None,
+        downscale=int(downscale),
+        invalid=invalid,
+        encoding=encoding if downscale > 1 else "auto",  # without averaging the codes are stored as they are
+    )
+    source = open_source(path)
+    try:
+        opened = open_store(
+            source, lambda: read_listing(source, kind, duplicates, normalise), (kind, duplicates, normalise),
+            options, cache, progress,
+        )
+    finally:
+        source.close()
+    listing, store = _select(opened.listing, opened.store, lights, views, str(path))
+    stored = store.pixels.dtype
+    decoder = Decoder(stored, "linear" if opened.linear else resolve_encoding(encoding, stored), float(exposure))
+    seconds = time.perf_counter() - start
+    origin = Source(listing.kind, str(path), listing.files, seconds, opened.from_cache)
+    return Btf(store, listing.light.float(), listing.view.float(), decoder, origin, clipped_weight)
+
+
+def _select(
+    listing: Listing, store: PixelStore, lights: Sequence[int] | None, views: Sequence[int] | None, where: str
+) -> tuple[Listing, PixelStore]:
+    keep = torch.ones(len(listing.files), dtype=torch.bool)
+    for name, directions, wanted in (("lights", listing.light, lights), ("views", listing.view, views)):
+        if wanted is None:
+            continue
+        distinct, index = unique_directions(directions)
+        outside = [number for number in wanted if not 0 <= number < len(distinct)]
+        if outside or not len(wanted):
+            fact = f"{outside[0]} is not" if outside else "none is given"
+            raise RangeError(message(where, name, f"be numbers from 0 to {len(distinct) - 1}", fact))
+        keep &= torch.isin(index, torch.tensor(list(wanted)))
+    if bool(keep.all()):
+        return listing, store
+    if not bool(keep.any()):
+        raise RangeError(message(where, "lights and views", "leave at least one image", "they leave none"))
+    rows = keep.nonzero()[:, 0].numpy()
+    files = tuple(listing.files[row] for row in rows)
+    listing = Listing(listing.kind, files, listing.light[keep], listing.view[keep])
+    return listing, _take(store, rows)
+
+
+def _take(store: PixelStore, rows) -> PixelStore:
+    """Pick rows of a store. The codes are copied into memory: a chosen part of a BTF is what one works on at hand."""
+    fields = {}
+    for field in dataclasses.fields(store):
+        value = getattr(store, field.name)
+        fields[field.name] = None if value is None else value[rows]
+    return PixelStore(**fields)

@@ -1,0 +1,202 @@
+"""The command line: torchmat fit, render, compare, info."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from torchmat.errors import TorchmatError
+
+_SAMPLE = "sample"
+
+
+@dataclass
+class DataArguments:
+    """How the images are read."""
+
+    cache: Path | None = None
+    """Folder for decoded images (default: the user's cache folder, or $TORCHMAT_CACHE)."""
+    no_cache: bool = False
+    """Decode anew and leave nothing behind."""
+    kind: str | None = None
+    """manifest, rti, ubo2003 or utia; found from the content when left out."""
+    encoding: str | None = None
+    """auto, srgb or linear."""
+    exposure: float | None = None
+    """The factor the photographs were exposed with; values are divided by it."""
+    crop: tuple[int, int, int, int] | None = None
+    """Top, left, height and width in texels."""
+    downscale: int | None = None
+    """Whole factor to shrink the images by, in linear light."""
+    invalid: str | None = None
+    """error, or mask: NaN and Inf get no weight."""
+    duplicates: str | None = None
+    """error, or keep: repeated directions are allowed."""
+    normalise: bool | None = None
+    """Bring directions that are not unit vectors to length 1."""
+    clipped_weight: float | None = None
+    """What a clipped sample counts in the fit, 0 to 1."""
+
+    def load(self, path: str, settings: dict | None = None):
+        """Load the BTF; arguments given on the command line override the config's [data]."""
+        from torchmat import load_btf, sample_path
+
+        names = ("kind", "encoding", "exposure", "crop", "downscale", "invalid", "duplicates", "normalise", "clipped_weight")
+        given = {name: getattr(self, name) for name in names if getattr(self, name) is not None}
+        cache = False if self.no_cache else (self.cache or True)
+        where = sample_path() if path == _SAMPLE and not Path(path).exists() else path
+        return load_btf(where, **{**(settings or {}), **given}, cache=cache)
+
+
+@dataclass
+class Fit:
+    """Fit a material to a BTF and write it with its report and pictures."""
+
+    config: Annotated[Path, tyro.conf.Positional]
+    """TOML config, for example configs/phong_srf.toml."""
+    data: str = _SAMPLE
+    """Folder or zip of images; `sample` is the one that ships with the package."""
+    out: Path = Path("out")
+    """Folder to write; an earlier material there is replaced."""
+    set: Annotated[list[str], tyro.conf.UseAppendAction] = field(default_factory=list)
+    """Override a key of the config, for example --set options.residual=half_light; may be repeated."""
+    no_pictures: bool = False
+    """Write the material and report.json only."""
+    read: Annotated[DataArguments, tyro.conf.arg(name="")] = field(default_factory=DataArguments)
+
+    def run(self) -> None:
+        from torchmat.fit import fit, load_config
+        from torchmat.report import write_fit
+        from torchmat.report.tables import error_table, summary_table
+
+        config = load_config(self.config, self.set)
+        btf = self.read.load(self.data, config.data)
+        result = fit(btf, config)
+        folder = write_fit(btf, result, self.out, pictures=not self.no_pictures)
+        print(summary_table(result.report))
+        print()
+        print(error_table(result.report))
+        print()
+        print(f"material   {folder}")
+        for path in sorted(folder.glob("report.*")) + sorted((folder / "pictures").glob("*.png")):
+            print(f"{'report' if path.stem == 'report' else 'picture':10s} {path}")
+
+
+@dataclass
+class Render:
+    """Relight a fitted material: the flat patch and a sphere."""
+
+    material: Annotated[Path, tyro.conf.Positional]
+    """Material folder."""
+    out: Path | None = None
+    """Folder for the pictures (default: pictures/ inside the material folder)."""
+    light: Annotated[list[tuple[float, float, float]], tyro.conf.UseAppendAction] = field(default_factory=list)
+    """Direction to a light, x y z; may be repeated, lights add up."""
+    view: tuple[float, float, float] = (0.0, 0.0, 1.0)
+    """Direction to the viewer of the patch."""
+    size: int = 512
+    """Width of the pictures."""
+    repeat: float = 2.0
+    """How often the texture fits a quarter of the sphere's equator."""
+    exposure: float = 1.0
+    """Factor on the 8-bit pictures' brightness."""
+    exr: bool = False
+    """Write linear EXR beside the 8-bit PNG."""
+
+    def run(self) -> None:
+        from torchmat import load_material, render
+        from torchmat.render.files import write_picture
+        from torchmat.render.render import DEFAULT_LIGHT
+
+        material = load_material(self.material)
+        lights = self.light or [DEFAULT_LIGHT]
+        folder = self.out or self.material / "pictures"
+        for mesh, view, repeat in (("patch", self.view, 1.0), ("sphere", (0.0, 0.0, 1.0), self.repeat)):
+            picture = render(material, mesh, lights, view=view, size=self.size, repeat=repeat)
+            for path in write_picture(picture, folder / f"render_{mesh}.png", self.exposure, self.exr):
+                print(f"picture    {path}")
+
+
+@dataclass
+class Compare:
+    """Fit several models to one BTF and print and plot speed against error."""
+
+    data: Annotated[str, tyro.conf.Positional] = _SAMPLE
+    """Folder or zip of images; `sample` is the one that ships with the package."""
+    models: list[str] = field(default_factory=list)
+    """Names, with options after a colon: ptm hsh:terms=16 phong_srf:residual=half_light (default: all families)."""
+    out: Path | None = None
+    """Folder for JSON, CSV, HTML and plots (default: only print)."""
+    holdout: float = 0.2
+    """Share of samples held out."""
+    holdout_by: str = "pair"
+    """pair, light or view."""
+    seed: int = 0
+    """Seed of the split and of the solvers."""
+    read: Annotated[DataArguments, tyro.conf.arg(name="")] = field(default_factory=DataArguments)
+
+    def run(self) -> None:
+        from torchmat.report.compare import DEFAULT_MODELS, compare, write_comparison
+        from torchmat.report.tables import comparison_table
+
+        btf = self.read.load(self.data)
+        rows = compare(
+            btf, self.models or DEFAULT_MODELS, holdout=self.holdout, holdout_by=self.holdout_by, seed=self.seed
+        )
+        print(comparison_table(rows))
+        for row in rows:
+            if row["failed"]:
+                print(f"{row['model']}: {row['failed']}")
+        if self.out is not None:
+            print(f"comparison {write_comparison(rows, self.out, f'Models on {Path(self.data).name}')}")
+
+
+@dataclass
+class Info:
+    """Describe any input: a folder or zip of images, or a material folder."""
+
+    path: Annotated[str, tyro.conf.Positional] = _SAMPLE
+    """What to describe."""
+    plot: Path | None = None
+    """Where to write the picture of lights and views (default: directions.png in the current folder; BTFs only)."""
+    no_plot: bool = False
+    """Print only."""
+    read: Annotated[DataArguments, tyro.conf.arg(name="")] = field(default_factory=DataArguments)
+
+    def run(self) -> None:
+        from torchmat.report.describe import describe_btf, describe_material, is_material
+
+        if is_material(self.path):
+            print(describe_material(self.path))
+            return
+        btf = self.read.load(self.path)
+        print(describe_btf(btf))
+        if not self.no_plot:
+            from torchmat.report.pictures import directions_picture
+
+            print(f"picture    {directions_picture(btf, self.plot or Path('directions.png'))}")
+
+
+COMMANDS = {"fit": Fit, "render": Render, "compare": Compare, "info": Info}
+
+
+def main(arguments: list[str] | None = None, command: str | None = None) -> int:
+    """Run the command line; `command` fixes the subcommand, as the scripts of the same names do."""
+    if command is None:
+        chosen = tyro.extras.subcommand_cli_from_dict(COMMANDS, args=arguments, prog="torchmat", description=__doc__)
+    else:
+        chosen = tyro.cli(COMMANDS[command], args=arguments, prog=command)
+    try:
+        chosen.run()
+    except TorchmatError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

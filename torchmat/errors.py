@@ -1,0 +1,82 @@
+"""The package's errors, and the checks that raise them.
+
+Every message reads ``{where}: {name} must {requirement}; {measured fact}. {next step}``, so that whoever
+meets one knows which file or argument is meant and what to do about it.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+
+import torch
+
+
+class TorchmatError(Exception):
+    """Base of all errors that the package raises on purpose."""
+
+
+class ShapeError(TorchmatError, ValueError):
+    """A tensor or image has the wrong shape."""
+
+
+class RangeError(TorchmatError, ValueError):
+    """A value, an option or a direction lies outside what is allowed."""
+
+
+class DataError(TorchmatError, ValueError):
+    """A file or folder cannot be used as it is."""
+
+
+class FitError(TorchmatError, RuntimeError):
+    """A fit cannot be carried out on the given data."""
+
+
+def message(where: str, name: str, requirement: str, fact: str, next_step: str = "") -> str:
+    """Return an error text in the package's one form."""
+    text = f"{where}: {name} must {requirement}; {fact}."
+    return f"{text} {next_step}" if next_step else text
+
+
+def check_option(where: str, name: str, value: object, choices: Iterable[object]) -> None:
+    """Raise RangeError unless `value` is one of `choices`; suggest the nearest one."""
+    choices = list(choices)
+    if value in choices:
+        return
+    near = difflib.get_close_matches(str(value), [str(c) for c in choices], n=1, cutoff=0.5)
+    hint = f"Did you mean {near[0]!r}?" if near else ""
+    listed = ", ".join(repr(c) for c in choices)
+    raise RangeError(message(where, name, f"be one of {listed}", f"it is {value!r}", hint))
+
+
+def check_known_keys(where: str, given: Iterable[str], known: Iterable[str]) -> None:
+    """Raise RangeError for the first key that is not known; suggest the nearest one."""
+    known = list(known)
+    for key in given:
+        if key in known:
+            continue
+        near = difflib.get_close_matches(key, known, n=1, cutoff=0.4)
+        hint = f"Did you mean {near[0]!r}?" if near else ""
+        listed = ", ".join(known) if known else "none"
+        raise RangeError(message(where, f"key {key!r}", f"be one of: {listed}", "it is unknown", hint))
+
+
+def check_finite(where: str, name: str, value: torch.Tensor, next_step: str = "") -> None:
+    """Raise RangeError when `value` holds NaN or Inf; name how many and the first index."""
+    bad = ~torch.isfinite(value)
+    count = int(bad.sum())
+    if count:
+        first = tuple(bad.nonzero()[0].tolist())
+        fact = f"{count} of {value.numel()} values are NaN or Inf, first at index {first}"
+        raise RangeError(message(where, name, "be finite", fact, next_step))
+
+
+def check_unit(where: str, name: str, value: torch.Tensor, next_step: str = "", tolerance: float = 1e-3) -> None:
+    """Raise RangeError unless every row of `value` [n, 3] is finite and has length 1 within `tolerance`."""
+    check_finite(where, name, value, next_step)
+    length = value.double().norm(dim=-1)
+    bad = (length - 1).abs() > tolerance
+    if bool(bad.any()):
+        first = int(bad.nonzero()[0, 0])
+        fact = f"{int(bad.sum())} of {len(value)} are not, first at row {first} with length {float(length[first]):.6g}"
+        raise RangeError(message(where, name, "be unit vectors", fact, next_step))

@@ -1,0 +1,8 @@
+"""Solvers, and fit(): a BTF and a model's name in, a material and a report out."""
+
+from torchmat.fit.config import FitConfig, load_config
+from torchmat.fit.evaluate import evaluate, predict
+from torchmat.fit.fit import FitResult, fit
+from torchmat.fit.registry import FITTERS, default_options
+
+__all__ = ["FITTERS", "FitConfig", "FitResult", "default_options", "evaluate", "fit", "load_config", "predict"]

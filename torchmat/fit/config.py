@@ -1,0 +1,83 @@
+"""A fit as a file: the TOML config and what it may hold."""
+
+from __future__ import annotations
+
+import dataclasses
+import tomllib
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from torchmat.errors import DataError, RangeError, check_known_keys, message
+from torchmat.fit.registry import resolve_options
+
+_DATA_KEYS = (
+    "kind", "encoding", "exposure", "crop", "downscale", "lights", "views", "invalid", "duplicates", "normalise",
+    "clipped_weight",
+)
+
+
+@dataclass(frozen=True)
+class FitConfig:
+    """Everything that decides a fit, apart from the data itself.
+
+    `options` are the model's; `data` are keywords of `load_btf`, used by the command line.
+    """
+
+    model: str = "phong_srf"
+    options: dict[str, Any] = field(default_factory=dict)
+    holdout: float = 0.2
+    holdout_by: str = "pair"
+    seed: int = 0
+    data: dict[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        resolve_options(self.model, self.options)
+        check_known_keys("config [data]", self.data, _DATA_KEYS)
+
+
+def _typed(where: str, table: dict[str, Any]) -> dict[str, Any]:
+    kinds = {"model": str, "options": dict, "holdout": (int, float), "holdout_by": str, "seed": int, "data": dict}
+    for key, value in table.items():
+        if not isinstance(value, kinds[key]) or isinstance(value, bool):
+            wanted = getattr(kinds[key], "__name__", "number")
+            raise RangeError(message(where, key, f"be a {wanted}", f"it is {value!r}"))
+    return table
+
+
+def make_config(table: dict[str, Any], where: str = "config") -> FitConfig:
+    """Return the FitConfig of a parsed table; unknown keys are errors that suggest the nearest one."""
+    check_known_keys(where, table, [f.name for f in dataclasses.fields(FitConfig)])
+    return FitConfig(**_typed(where, table))
+
+
+def load_config(path: str | Path, overrides: list[str] | None = None) -> FitConfig:
+    """Read a TOML config; `overrides` are texts such as ``options.residual="half_light"`` or ``seed=3``.
+
+    A value that is not TOML counts as a plain string. Raises DataError or RangeError, naming the file or the key.
+    """
+    try:
+        table = tomllib.loads(Path(path).read_text(encoding="utf-8-sig"))
+    except OSError as error:
+        raise DataError(message(str(path), "the config", "be readable", str(error), "Check the path.")) from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise DataError(message(str(path), "the config", "be TOML", str(error), "Correct that line.")) from error
+    for text in overrides or []:
+        _override(table, text)
+    return make_config(table, str(path))
+
+
+def _override(table: dict[str, Any], text: str) -> None:
+    name, separator, value = text.partition("=")
+    if not separator or not name.strip():
+        step = "For example --set options.residual=half_light."
+        raise RangeError(message("--set", repr(text), "be KEY=VALUE", "it has no key or no '='", step))
+    *parents, key = name.strip().split(".")
+    for parent in parents:
+        table = table.setdefault(parent, {})
+        if not isinstance(table, dict):
+            raise RangeError(message("--set", repr(text), "name a key inside a table", f"{parent} is a value"))
+    try:
+        table[key] = tomllib.loads(f"v = {value.strip()}")["v"]
+    except tomllib.TOMLDecodeError:
+        table[key] = value.strip()

@@ -1,0 +1,81 @@
+"""How true a material is on chosen samples of a BTF: pooled figures, and by polar angle."""
+
+from __future__ import annotations
+
+import math
+import time
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor
+
+from torchmat.btf import Btf
+from torchmat.metrics import SampleErrors
+from torchmat.models import Material
+
+BAND_DEG = 15
+PERCEPTUAL_SAMPLES = 256  # SSIM and CIEDE2000 cost far more than the rest; an even choice of samples is enough
+_VALUES = 1_000_000  # values of one batch: larger ones leave the processor's cache and take three times as long
+
+
+class Evaluation(NamedTuple):
+    """`report` holds the six figures, `samples`, and `by_angle`; `per_sample` [n] the display error of each sample."""
+
+    report: dict[str, Any]
+    per_sample: Tensor
+
+
+def predict(material: Material, btf: Btf, indices: Tensor) -> Tensor:
+    """Return the material's images [k, 3, H, W] for chosen samples of `btf`."""
+    dtype = next(iter(material.maps.values())).dtype
+    light, view = btf.light[indices].to(dtype), btf.view[indices].to(dtype)
+    with torch.no_grad():
+        return material.shade(light[:, :, None, None], view[:, :, None, None])
+
+
+def evaluate(material: Material, btf: Btf, indices: Tensor, most: int | None = None) -> Evaluation:
+    """Measure `material` against samples `indices` of `btf` (at most `most`, evenly chosen)."""
+    if most is not None and len(indices) > most:
+        indices = indices[torch.linspace(0, len(indices) - 1, most).round().long()]
+    perceptual = torch.zeros(len(indices), dtype=torch.bool)
+    perceptual[torch.linspace(0, len(indices) - 1, min(len(indices), PERCEPTUAL_SAMPLES)).round().long()] = True
+    errors = SampleErrors()
+    batch = max(1, _VALUES // (3 * btf.height * btf.width))
+    for part in torch.arange(len(indices)).split(batch):
+        rows = indices[part]
+        prediction = predict(material, btf, rows)
+        target = btf.images(rows, prediction.dtype)
+        clipped = btf.clipped(rows) & (target >= btf.clip_level)
+        errors.add(prediction, target, btf.valid(rows), clipped, perceptual[part])
+    report: dict[str, Any] = {"samples": len(indices), **errors.report()}
+    report["by_angle"] = _bands(errors, btf.light[indices], "light") + _bands(errors, btf.view[indices], "view")
+    return Evaluation(report, errors.per_sample_display())
+
+
+def _bands(errors: SampleErrors, direction: Tensor, which: str) -> list[dict[str, Any]]:
+    polar = torch.rad2deg(torch.acos(direction[:, 2].double().clamp(-1, 1)))
+    rows = []
+    for low in range(0, 90, BAND_DEG):
+        # Rounding must not put 45 degrees into the band below: edges are met with a small tolerance.
+        inside = (polar >= low - 1e-3) & ((polar < low + BAND_DEG - 1e-3) | ((low + BAND_DEG == 90) & (polar <= 90)))
+        if bool(inside.any()):
+            rows.append({
+                "angle": which, "from_deg": low, "to_deg": low + BAND_DEG, "samples": int(inside.sum()),
+                **errors.pooled(inside),
+            })
+    return rows
+
+
+def shading_rate(material: Material) -> float:
+    """Return million texels shaded a second, one light and view an image: the median of several runs."""
+    light = torch.tensor([0.3, 0.2, math.sqrt(0.87)])[:, None, None]
+    view = torch.tensor([-0.4, 0.1, math.sqrt(0.83)])[:, None, None]
+    dtype = next(iter(material.maps.values())).dtype
+    light, view = light.to(dtype), view.to(dtype)
+    seconds = []
+    with torch.no_grad():
+        for _ in range(6):
+            start = time.perf_counter()
+            material.shade(light, view)
+            seconds.append(time.perf_counter() - start)
+    return material.texels / 1e6 / sorted(seconds[1:])[len(seconds[1:]) // 2]

@@ -1,0 +1,145 @@
+"""fit: a BTF and the name of a model in, a material and an honest report out."""
+
+from __future__ import annotations
+
+import platform
+import resource
+import sys
+import time
+from dataclasses import dataclass, field
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from torchmat.btf import Btf, Split, split_samples
+from torchmat.errors import RangeError, message
+from torchmat.fit.config import FitConfig, load_config
+from torchmat.fit.evaluate import Evaluation, evaluate, shading_rate
+from torchmat.fit.registry import FITTERS, resolve_options
+from torchmat.fit.training import make_training
+from torchmat.models import Material
+
+_TRAIN_SAMPLES = 512  # the training error is measured on at most so many samples, evenly chosen
+_PACKAGES = ("torchmat", "torch", "numpy", "kornia", "OpenImageIO", "scikit-learn")
+
+
+@dataclass(frozen=True)
+class FitResult:
+    """What a fit gives back.
+
+    `report` is what `report.json` holds; `coverage` [1, H, W] the share of the unknowns that each texel's samples
+    determine (None where it has no meaning); `held_out_errors` [m] the display error of each held-out sample;
+    `history` (seconds, error) of an iterative solver.
+    """
+
+    material: Material
+    stop_reason: str
+    report: dict[str, Any]
+    split: Split
+    coverage: Tensor | None = None
+    held_out_errors: Tensor | None = None
+    history: list[tuple[float, float]] = field(default_factory=list)
+
+
+def fit(
+    btf: Btf,
+    model: str | Path | FitConfig = "phong_srf",
+    *,
+    holdout: float | None = None,
+    holdout_by: str | None = None,
+    seed: int | None = None,
+    dtype: torch.dtype = torch.float32,
+    progress: bool | None = None,
+    **options: Any,
+) -> FitResult:
+    """Fit a material to `btf` and measure it on samples that it never saw.
+
+    `model` is a name, a FitConfig, or the path of a TOML config. `holdout` is the share of samples held out (0.2),
+    `holdout_by` "pair", "light" or "view"; both, `seed` (0) and the model's `options` (named as in the README) override
+    the config's. `dtype` float64 runs the same code in double precision. Deterministic for a seed.
+
+    Raises RangeError for unknown models or options, FitError when the data cannot determine the model.
+    """
+    config = _resolve(model, holdout, holdout_by, seed, options)
+    if dtype not in (torch.float32, torch.float64):
+        raise RangeError(message("fit", "dtype", "be torch.float32 or torch.float64", f"it is {dtype}"))
+    chosen = resolve_options(config.model, config.options)
+    split = split_samples(btf, config.holdout, config.holdout_by, config.seed)
+    start = time.perf_counter()
+    training = make_training(btf, split.train, config.seed, dtype, progress)
+    with torch.no_grad():
+        fitted = FITTERS[config.model](training, **chosen)
+    seconds = time.perf_counter() - start
+    report, held_out = _report(btf, fitted.material, split)
+    report = {
+        "model": config.model, "options": chosen, "samples": len(btf), "texels": btf.height * btf.width,
+        "seed": config.seed, "holdout": config.holdout, "holdout_by": config.holdout_by,
+        "bytes_per_texel": fitted.material.bytes_per_texel, "shared_bytes": fitted.material.shared_bytes,
+        "fit_seconds": seconds, "load_seconds": btf.source.load_seconds,
+        "shade_mtexels_per_s": shading_rate(fitted.material), "peak_rss_mb": _peak_rss_mb(),
+        "stop_reason": fitted.stop_reason, **report, "coverage": _coverage(fitted.coverage), **_source(btf),
+        "figures": fitted.figures, "versions": _versions(),
+    }
+    errors = held_out.per_sample if held_out else None
+    return FitResult(
+        fitted.material, fitted.stop_reason, report, split, fitted.coverage, errors, fitted.history
+    )
+
+
+def _resolve(
+    model: str | Path | FitConfig, holdout: float | None, holdout_by: str | None, seed: int | None,
+    options: dict[str, Any],
+) -> FitConfig:
+    if isinstance(model, Path) or (isinstance(model, str) and model.endswith(".toml")):
+        model = load_config(model)
+    base = model if isinstance(model, FitConfig) else FitConfig(model=model)
+    given = {"holdout": holdout, "holdout_by": holdout_by, "seed": seed}
+    given = {name: value for name, value in given.items() if value is not None}
+    kept = {name: getattr(base, name) for name in ("model", "holdout", "holdout_by", "seed", "data")}
+    return FitConfig(**{**kept, **given, "options": {**base.options, **options}})
+
+
+def _report(btf: Btf, material: Material, split: Split) -> tuple[dict[str, Any], Evaluation | None]:
+    report: dict[str, Any] = {"train": evaluate(material, btf, split.train, _TRAIN_SAMPLES).report}
+    held_out = evaluate(material, btf, split.held_out) if len(split.held_out) else None
+    report["held_out"] = held_out.report if held_out else None
+    after = evaluate(material.as_exported(), btf, split.held_out).report if held_out else None
+    report["held_out_after_export"] = after
+    return report, held_out
+
+
+def _coverage(coverage: Tensor | None) -> dict[str, float] | None:
+    if coverage is None:
+        return None
+    return {
+        "least": float(coverage.min()), "mean": float(coverage.mean()),
+        "texels_not_fully_determined": int((coverage < 1).sum()),
+    }
+
+
+def _source(btf: Btf) -> dict[str, Any]:
+    return {
+        "source": {
+            "kind": btf.source.kind, "path": btf.source.path, "height": btf.height, "width": btf.width,
+            "lights": len(btf.lights), "views": len(btf.views), "encoding": btf.encoding, "exposure": btf.exposure,
+            "clipped_share": btf.clipped_share, "invalid_share": btf.invalid_share,
+        }
+    }
+
+
+def _peak_rss_mb() -> float:
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return peak / 1e6 if sys.platform == "darwin" else peak / 1e3
+
+
+def _versions() -> dict[str, str]:
+    found = {"python": platform.python_version()}
+    for package in _PACKAGES:
+        try:
+            found[package] = version(package)
+        except PackageNotFoundError:
+            found[package] = "unknown"
+    return found

@@ -1,0 +1,145 @@
+"""Levenberg-Marquardt for many small problems at once, with bounds.
+
+The residual function is the only interface: it maps parameters [problem, P] to residuals [problem, R]. Its Jacobian
+comes from forward differentiation, or from the caller where a formula is faster. Each problem has its own damping and
+its own stop reason.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from torchmat.errors import FitError, check_finite, message
+
+CONVERGED, STEP_LIMIT, NOT_FINITE = "converged", "step limit", "not finite"
+
+
+@dataclass(frozen=True)
+class Solution:
+    """Best parameters [problem, P], half the squared residual [problem], and why each problem stopped.
+
+    `history` [steps, problem] is the cost after each step.
+    """
+
+    parameters: Tensor
+    cost: Tensor
+    reasons: tuple[str, ...]
+    history: Tensor
+
+
+def forward_jacobian(residual: Callable[[Tensor], Tensor]) -> Callable[[Tensor], Tensor]:
+    """Return the function that gives d residual / d parameters, [problem, R, P], by forward differentiation.
+
+    Problems do not mix, so one tangent serves all of them.
+    """
+
+    def jacobian(parameters: Tensor) -> Tensor:
+        tangents = torch.eye(parameters.shape[1], dtype=parameters.dtype)[:, None, :]
+        tangents = tangents.expand(-1, len(parameters), -1)
+
+        def along(tangent: Tensor) -> Tensor:
+            return torch.func.jvp(residual, (parameters,), (tangent,))[1]
+
+        return torch.func.vmap(along)(tangents).permute(1, 2, 0)
+
+    return jacobian
+
+
+def _cost(residuals: Tensor) -> Tensor:
+    return 0.5 * (residuals * residuals).sum(dim=1)
+
+
+def _bounds(start: Tensor, low: Tensor | None, high: Tensor | None) -> tuple[Tensor, Tensor]:
+    infinite = torch.full_like(start[0], torch.inf)
+    low = -infinite if low is None else low.to(start)
+    high = infinite if high is None else high.to(start)
+    return low, high
+
+
+class _State:
+    """Everything that a step changes, per problem."""
+
+    def __init__(self, parameters: Tensor, residuals: Tensor) -> None:
+        problems = len(parameters)
+        self.parameters, self.residuals, self.cost = parameters, residuals, _cost(residuals)
+        self.damping = torch.full((problems,), 1e-3, dtype=parameters.dtype)
+        self.growth = torch.full((problems,), 2.0, dtype=parameters.dtype)
+        self.scale = torch.zeros_like(parameters)
+        self.done = torch.zeros(problems, dtype=torch.bool)
+
+    def accept(self, better: Tensor, candidate: Tensor, residuals: Tensor, cost: Tensor, gain: Tensor) -> None:
+        """Take the steps that lowered the cost; adapt damping by the gain ratio (Nielsen 1999)."""
+        self.parameters = torch.where(better[:, None], candidate, self.parameters)
+        self.residuals = torch.where(better[:, None], residuals, self.residuals)
+        self.cost = torch.where(better, cost, self.cost)
+        shrink = (1 - (2 * gain - 1) ** 3).clamp(min=1 / 3, max=2)
+        self.damping = torch.where(better, self.damping * shrink, self.damping * self.growth).clamp(1e-15, 1e15)
+        self.growth = torch.where(better, torch.full_like(self.growth, 2.0), (self.growth * 2).clamp(max=1e8))
+
+
+def levenberg_marquardt(
+    residual: Callable[[Tensor], Tensor], start: Tensor, low: Tensor | None = None, high: Tensor | None = None,
+    *, jacobian: Callable[[Tensor], Tensor] | None = None, max_steps: int = 100, tolerance: float = 1e-10,
+) -> Solution:
+    """Minimise half the squared residual of each problem, from `start` [problem, P], within `low` and `high` [P].
+
+    Damping scales with the largest curvature met per parameter (Moré 1978), so that units do not matter. A parameter
+    at a bound which the gradient pushes outward is held for that step. `jacobian` [problem, R, P], if given, must be
+    that of `residual`. A problem has converged when a step promises
+    or brings less than `tolerance` of its cost or moves by less than `tolerance`, relative. Parameters returned are
+    the best met. Raises FitError when the start itself gives NaN or Inf.
+    """
+    check_finite("levenberg_marquardt", "start", start)
+    low, high = _bounds(start, low, high)
+    start = torch.minimum(torch.maximum(start, low), high)
+    state = _State(start, residual(start))
+    if not bool(torch.isfinite(state.cost).all()):
+        step = "Start nearer, or check the data for extreme values."
+        raise FitError(message("levenberg_marquardt", "the start", "give finite residuals", "it does not", step))
+    jacobian = jacobian or forward_jacobian(residual)
+    history = [state.cost.clone()]
+    for _ in range(max_steps):
+        if bool(state.done.all()):
+            break
+        _step(residual, jacobian, state, low, high, tolerance)
+        history.append(state.cost.clone())
+    reasons = tuple(CONVERGED if done else STEP_LIMIT for done in state.done.tolist())
+    return Solution(state.parameters, state.cost, reasons, torch.stack(history))
+
+
+def _step(
+    residual: Callable[[Tensor], Tensor], jacobian_of: Callable[[Tensor], Tensor], state: _State, low: Tensor,
+    high: Tensor, tolerance: float,
+) -> None:
+    jacobian = torch.nan_to_num(jacobian_of(state.parameters))
+    gradient = torch.einsum("brp,br->bp", jacobian, state.residuals)
+    held = ((state.parameters <= low) & (gradient > 0)) | ((state.parameters >= high) & (gradient < 0))
+    jacobian = torch.where(held[:, None, :], torch.zeros_like(jacobian), jacobian)
+    gradient = torch.where(held, torch.zeros_like(gradient), gradient)
+    # Columns are brought to unit length first: normal equations of columns 1e-6 and 1e6 have no digits left.
+    state.scale = torch.maximum(state.scale, jacobian.norm(dim=1))
+    unit = torch.where(state.scale > 0, state.scale, torch.ones_like(state.scale))
+    scaled = jacobian / unit[:, None, :]
+    normal = scaled.transpose(1, 2) @ scaled
+    damped = normal + state.damping[:, None, None] * torch.eye(normal.shape[-1], dtype=normal.dtype)
+    move = -torch.linalg.solve(damped, (gradient / unit)[..., None])[..., 0] / unit
+    candidate = torch.minimum(torch.maximum(state.parameters + move, low), high)
+    move = candidate - state.parameters
+
+    residuals = residual(candidate)
+    cost = _cost(residuals)
+    predicted = -(gradient * move).sum(1) - 0.5 * torch.einsum("brp,bp->br", jacobian, move).square().sum(1)
+    finite = torch.isfinite(cost)
+    gain = torch.where(finite & (predicted > 0), (state.cost - cost) / predicted.clamp(min=1e-300), cost.new_tensor(-1.0))
+    better = finite & (cost < state.cost) & ~state.done
+    floor = tolerance * state.cost + torch.finfo(cost.dtype).tiny
+    small_gain = (predicted.abs() <= floor) | (better & ((state.cost - cost) <= floor))
+    # Relative to the parameters, or for those near 0 to what would change the residuals at all.
+    small_move = (move.abs() <= tolerance * (state.parameters.abs() + tolerance)).all(dim=1)
+    stuck = ~better & (state.damping >= 1e14)
+    state.accept(better, candidate, residuals, cost, gain)
+    state.done = state.done | (finite & (small_gain | small_move)) | stuck

@@ -1,0 +1,144 @@
+"""Fit of Phong + residual: Levenberg-Marquardt for the global lobe, one streamed least squares for the residual."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor
+
+from torchmat.errors import FitError, check_option, message
+from torchmat.fit.least_squares import solve_texels, stream_moments
+from torchmat.fit.levenberg_marquardt import CONVERGED, Solution, levenberg_marquardt
+from torchmat.fit.linear import design_of
+from torchmat.fit.training import Fitted, Training
+from torchmat.models import PhongSrf
+from torchmat.models.lobes import LOBES, Lobe
+from torchmat.models.phong_srf import RESIDUALS
+
+PHONG_WAYS = ("mean_brdf", "per_light")
+_FEWEST_VIEWS = 3  # per light: seven parameters from nine numbers
+_BRIGHTEST = 4.0
+
+
+def fit_phong_srf(
+    training: Training, *, residual: str = "half", phong: str = "mean_brdf", base: str = "phong", storage: str = "half"
+) -> Fitted:
+    """Fit the global lobe, then the residual maps.
+
+    `phong` "mean_brdf" fits the lobe to each image's mean over the texels; "per_light" fits one for each light and
+    averages the parameters, exponents as logarithms. (The paper fits each light's reflectance map texel by texel; all
+    texels of an image share light and view here, so its sum of squares differs from ours by a constant.) Both errors
+    are reported; `per_light` needs three views of a light. One pass over the images serves both steps: the lobe is
+    the same for all texels, so it can be subtracted from the summed products afterwards.
+    """
+    check_option("fit phong_srf", "residual", residual, RESIDUALS)
+    check_option("fit phong_srf", "phong", phong, PHONG_WAYS)
+    check_option("fit phong_srf", "base", base, LOBES)
+    design = design_of(training, residual)
+    moments = stream_moments(training.btf, design, training.used, training.dtype)
+    lobe = LOBES[base]
+    ways = _fit_lobe(training, moments.means, lobe)
+    if phong not in ways:
+        step = "Use phong='mean_brdf'."
+        fact = f"no light has {_FEWEST_VIEWS} views among the fitted samples"
+        raise FitError(message("fit phong_srf", "phong='per_light'", "have lights with at least 3 views", fact, step))
+    parameters, reason = ways[phong]
+    explained = lobe.evaluate(parameters, training.light.double(), training.view.double())[:, :, 0, 0]
+    solved = solve_texels(training.btf, design, moments, training.used, explained)
+    maps = {"lobe": parameters.to(training.dtype), "residual": solved.coefficients.flatten(0, 1)}
+    material = PhongSrf(maps, residual=residual, base=base, storage=storage)
+    errors = {way: _relative_error(training, moments.means, lobe, found) for way, (found, _) in ways.items()}
+    figures = {
+        "lobe": material.parameters_by_name,
+        "lobe_error_on_mean_brdf": {way: errors.get(way) for way in PHONG_WAYS},
+    }
+    return Fitted(material, reason, solved.coverage, figures)
+
+
+def _relative_error(training: Training, means: Tensor, lobe: Lobe, parameters: Tensor) -> float:
+    used = training.used
+    light, view = training.light[used].double(), training.view[used].double()
+    predicted = lobe.evaluate(parameters, light, view)[:, :, 0, 0]
+    return float((predicted - means[used]).square().sum() / means[used].square().sum().clamp(min=1e-300))
+
+
+def _fit_lobe(training: Training, means: Tensor, lobe: Lobe) -> dict[str, tuple[Tensor, str]]:
+    """Return (parameters, stop reason) for each way that the data allows."""
+    used = training.used
+    light, view, values = training.light[used].double(), training.view[used].double(), means[used]
+    found = {"mean_brdf": _mean_brdf(lobe, light, view, values)}
+    per_light = _per_light(lobe, training, light, view, values, found["mean_brdf"][0])
+    return found if per_light is None else found | {"per_light": per_light}
+
+
+class _Problem(NamedTuple):
+    """Lobe against means: `light`, `view` [..., m, 3, 1, 1], `values` [..., m, 3], `weight` [..., m, 1]."""
+
+    lobe: Lobe
+    light: Tensor
+    view: Tensor
+    values: Tensor
+    weight: Tensor
+
+    def residual(self, parameters: Tensor) -> Tensor:
+        predicted = self.lobe.evaluate(parameters[:, None], self.light, self.view)[..., 0, 0]
+        return ((predicted - self.values) * self.weight).flatten(1)
+
+    def jacobian(self, parameters: Tensor) -> Tensor:
+        rows = self.lobe.jacobian(parameters[:, None], self.light, self.view)
+        return (rows * self.weight[..., None]).flatten(1, 2)
+
+    def solve(self, start: Tensor, **settings: Any) -> Solution:
+        low, high = _limits(self.lobe, self.values)
+        start = torch.minimum(torch.maximum(start, low), high)
+        jacobian = None if self.lobe.jacobian is None else self.jacobian
+        return levenberg_marquardt(self.residual, start, low, high, jacobian=jacobian, **settings)
+
+
+def _limits(lobe: Lobe, values: Tensor) -> tuple[Tensor, Tensor]:
+    """Return the lobe's bounds, colours bounded by a few times the brightest value.
+
+    A narrow lobe between two samples can have any peak; without a bound one such light decides a whole average.
+    """
+    low, high = torch.tensor(lobe.low, dtype=torch.float64), torch.tensor(lobe.high, dtype=torch.float64)
+    brightest = values.max().clamp(min=1e-12) * _BRIGHTEST
+    return low, torch.cat((torch.minimum(high[:6], brightest), high[6:]))
+
+
+def _scaled_starts(lobe: Lobe, values: Tensor) -> Tensor:
+    """Return the lobe's starting points with their colours brought to the data's brightness."""
+    starts = torch.tensor(lobe.starts, dtype=torch.float64)
+    starts[:, :6] *= values.mean().clamp(min=1e-12) / 0.3
+    return starts
+
+
+def _mean_brdf(lobe: Lobe, light: Tensor, view: Tensor, values: Tensor) -> tuple[Tensor, str]:
+    """Fit from every start for a few steps, then carry the best through."""
+    problem = _Problem(lobe, light, view, values, torch.ones(1, 1, dtype=values.dtype))
+    explored = problem.solve(_scaled_starts(lobe, values), max_steps=6)
+    solution = problem.solve(explored.parameters[explored.cost.argmin()][None])
+    return solution.parameters[0], solution.reasons[0]
+
+
+def _per_light(
+    lobe: Lobe, training: Training, light: Tensor, view: Tensor, values: Tensor, start: Tensor
+) -> tuple[Tensor, str] | None:
+    groups = training.btf.light_index[training.used]
+    rows = [(groups == number).nonzero()[:, 0] for number in groups.unique()]
+    rows = [part for part in rows if len(part) >= _FEWEST_VIEWS]
+    if not rows:
+        return None
+    longest = max(map(len, rows))
+    # Problems of one batch have one length: short ones repeat their first sample with weight 0.
+    index = torch.stack([torch.cat((part, part[:1].expand(longest - len(part)))) for part in rows])
+    weight = torch.stack([(torch.arange(longest) < len(part)).double() for part in rows])[:, :, None]
+    problem = _Problem(lobe, light[index], view[index], values[index], weight)
+    solution = problem.solve(start[None].repeat(len(rows), 1), max_steps=40, tolerance=1e-6)
+    return solution.parameters.mean(dim=0), _overall(solution)
+
+
+def _overall(solution: Solution) -> str:
+    """One reason for a batch: converged only if every problem did."""
+    others = [reason for reason in solution.reasons if reason != CONVERGED]
+    return others[0] if others else CONVERGED

@@ -1,0 +1,37 @@
+"""Which function fits which model, and which options it takes."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable
+
+from torchmat.errors import check_known_keys, check_option
+from torchmat.fit.linear import fit_hsh, fit_lambert, fit_lptm, fit_ptm, fit_texture
+from torchmat.fit.pca import fit_local_pca, fit_pca
+from torchmat.fit.phong_srf import fit_phong_srf
+from torchmat.fit.training import Fitted
+
+FITTERS: dict[str, Callable[..., Fitted]] = {
+    "texture": fit_texture,
+    "lambert": fit_lambert,
+    "ptm": fit_ptm,
+    "lptm": fit_lptm,
+    "hsh": fit_hsh,
+    "phong_srf": fit_phong_srf,
+    "pca": fit_pca,
+    "local_pca": fit_local_pca,
+}
+
+
+def default_options(model: str) -> dict[str, object]:
+    """Return the options of a model and their defaults: the keyword arguments of its fit function."""
+    check_option("fit", "model", model, FITTERS)
+    parameters = inspect.signature(FITTERS[model]).parameters.values()
+    return {p.name: p.default for p in parameters if p.kind is inspect.Parameter.KEYWORD_ONLY}
+
+
+def resolve_options(model: str, given: dict[str, object]) -> dict[str, object]:
+    """Return all options of `model` with those `given`; raises RangeError, with the nearest name, for unknown ones."""
+    defaults = default_options(model)
+    check_known_keys(f"fit {model}", given, defaults)
+    return {**defaults, **given}

@@ -1,0 +1,62 @@
+"""What every fit is given, and what it gives back."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from torchmat.btf import Btf
+from torchmat.errors import FitError, message
+from torchmat.models import Material
+
+CLOSED_FORM = "converged"
+
+
+@dataclass(frozen=True)
+class Training:
+    """The samples a fit may look at: `used` is bool [sample], lights above the horizon and not held out."""
+
+    btf: Btf
+    used: Tensor
+    seed: int = 0
+    dtype: torch.dtype = torch.float32
+    progress: bool | None = None
+
+    @property
+    def light(self) -> Tensor:
+        """Light of each sample as planes [sample, 3, 1, 1]."""
+        return self.btf.light[:, :, None, None]
+
+    @property
+    def view(self) -> Tensor:
+        """View of each sample as planes [sample, 3, 1, 1]."""
+        return self.btf.view[:, :, None, None]
+
+
+def make_training(btf: Btf, train: Tensor, seed: int, dtype: torch.dtype, progress: bool | None) -> Training:
+    """Return the Training for sample indices `train`; raises FitError when no light is above the horizon."""
+    used = torch.zeros(len(btf), dtype=torch.bool)
+    used[train] = True
+    used &= btf.light[:, 2] > 0
+    if not bool(used.any()):
+        step = "Check the light directions: z points away from the surface."
+        raise FitError(message("fit", "the data", "have a sample lit from above", "none of the fitted ones is", step))
+    return Training(btf, used, seed, dtype, progress)
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """A material, why the solver stopped, the share of its unknowns each texel's samples determine, and figures.
+
+    `coverage` [1, H, W] or None where it has no meaning; `figures` go into the report under the model's own keys;
+    `history` lists (seconds, error) of an iterative solver.
+    """
+
+    material: Material
+    stop_reason: str = CLOSED_FORM
+    coverage: Tensor | None = None
+    figures: dict[str, Any] = field(default_factory=dict)
+    history: list[tuple[float, float]] = field(default_factory=list)

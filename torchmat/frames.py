@@ -1,0 +1,52 @@
+"""Directions and frames of the tangent space.
+
+x points to the right of the texture, y up the texture (row 0 is the top row), z along the mean surface normal.
+`light`, `view`, `half` and `normal` are unit vectors that point away from the surface. Planes keep vectors on
+dimension -3, lists of directions on the last; each function takes `dim`.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from torchmat import safe
+
+
+def from_polar(polar: Tensor, azimuth: Tensor, dim: int = -1) -> Tensor:
+    """Return unit directions from angles in radians.
+
+    `polar` is measured from the normal, `azimuth` from +x toward +y; both have the same shape `[...]`, the
+    result gains a dimension of 3 at `dim`.
+    """
+    sine = torch.sin(polar)
+    return torch.stack((sine * torch.cos(azimuth), sine * torch.sin(azimuth), torch.cos(polar)), dim=dim)
+
+
+def to_polar(direction: Tensor, dim: int = -1) -> tuple[Tensor, Tensor]:
+    """Return (polar, azimuth) in radians of unit directions; azimuth in [0, 2 pi), 0 at the pole."""
+    x, y, z = direction.unbind(dim)
+    polar = torch.atan2(safe.sqrt(x * x + y * y), z)
+    azimuth = torch.atan2(y, x)
+    full_turn = 2 * torch.pi
+    azimuth = torch.where(azimuth < 0, azimuth + full_turn, azimuth)
+    # -1e-9 + 2 pi rounds to 2 pi in float32, which is azimuth 0 again.
+    return polar, torch.where(azimuth >= full_turn, torch.zeros_like(azimuth), azimuth)
+
+
+def half_vector(light: Tensor, view: Tensor, dim: int = -3) -> Tensor:
+    """Return the unit half vector; zero, with gradient 0, where light and view are opposite."""
+    return safe.normalise(light + view, dim=dim)
+
+
+def tangent_frame(normal: Tensor, dim: int = -3) -> tuple[Tensor, Tensor]:
+    """Return the tangent and bitangent that the shortest rotation from +z to `normal` makes of +x and +y.
+
+    Defined and continuous for every normal with z > -1, so in particular over the whole upper hemisphere;
+    frames that pick an axis by comparing components flip somewhere on it.
+    """
+    x, y, z = normal.unbind(dim)
+    shared = safe.divide(torch.ones_like(z), 1 + z)
+    tangent = torch.stack((1 - x * x * shared, -x * y * shared, -x), dim=dim)
+    bitangent = torch.stack((-x * y * shared, 1 - y * y * shared, -y), dim=dim)
+    return tangent, bitangent

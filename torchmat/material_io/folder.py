@@ -1,0 +1,188 @@
+"""The material folder: `manifest.json` and one texture per map. The product, specified like a file format.
+
+The manifest states the format's version, the model and its options, the frame and value conventions, the resolved
+config and provenance, the constants, and for each texture its file, map, channels, code type and transfer. Integer
+codes run linearly from `low` to `high` per channel, or sRGB-encoded between them where `transfer` says so.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from torchmat import atomic
+from torchmat.errors import DataError, TorchmatError, check_option, message
+from torchmat.images import read_image, write_image
+from torchmat.models import MATERIALS, Material
+from torchmat.models.storage import STORAGES, Codes, MapSpec, decode, encode
+
+FORMAT = "torchmat-material"
+VERSION = 1
+MANIFEST = "manifest.json"
+# What may stand in a material folder beside manifest and textures; replacing a folder that holds more is refused.
+COMPANIONS = ("report.json", "report.html", "pictures")
+CONVENTIONS = {
+    "frame": "x right, y up (row 0 is the top row), z mean normal; right-handed; light and view away from the surface",
+    "value": "pi * f_r * cos(light), linear RGB, Rec. 709 primaries; 0 for light or view at or below z = 0",
+    "codes": "integer codes run from low (0) to high (largest code) per channel, linearly or sRGB-encoded",
+}
+
+
+def _package_version() -> str:
+    try:
+        return version("torchmat")
+    except PackageNotFoundError:
+        return "unknown"
+
+
+def _texture_entry(spec: MapSpec, file: str, codes: Codes) -> dict[str, Any]:
+    height, width, channels = codes.pixels.shape
+    entry: dict[str, Any] = {
+        "map": spec.name, "meaning": spec.meaning, "file": file, "height": height, "width": width,
+        "channels": channels, "type": codes.pixels.dtype.name, "transfer": codes.transfer,
+        "per_texel": spec.per_texel, "filter": "nearest" if spec.index else "bilinear",
+    }
+    if codes.low:
+        entry |= {"low": list(codes.low), "high": list(codes.high)}
+    return entry
+
+
+def write_material(material: Material, folder: Path, provenance: dict[str, Any] | None = None) -> None:
+    """Write manifest and textures into an existing folder, without any care for what is there; see `save_material`."""
+    textures = []
+    for spec, name, value, storage in material.textures():
+        codes = encode(spec, value, storage)
+        suffix = ".png" if spec.index else STORAGES[storage].suffix
+        write_image(folder / f"{name}{suffix}", codes.pixels)
+        textures.append(_texture_entry(spec, f"{name}{suffix}", codes))
+    constants = {spec.name: material.maps[spec.name].tolist() for spec in material.specs() if spec.constant}
+    height, width = material.size
+    manifest = {
+        "format": FORMAT, "version": VERSION, "written_by": f"torchmat {_package_version()}",
+        "model": material.name, "options": material.options, "storage": material.storage, "tiles": material.tiles,
+        "height": height, "width": width, "bytes_per_texel": material.bytes_per_texel,
+        "shared_bytes": material.shared_bytes, "conventions": CONVENTIONS, "constants": constants,
+        "textures": textures, "provenance": provenance or {},
+    }
+    (folder / MANIFEST).write_text(json.dumps(manifest, indent=1, ensure_ascii=False), encoding="utf-8")
+
+
+def _refuse_foreign(target: Path) -> None:
+    """Raise DataError unless `target` may be replaced: absent, empty, or a material folder and nothing else."""
+    if not target.exists():
+        return
+    step = "Choose another folder, or move what is there."
+    if not target.is_dir():
+        raise DataError(message(str(target), "the target", "be a folder", "it is a file", step))
+    present = sorted(path.name for path in target.iterdir())
+    if not present:
+        return
+    known = {MANIFEST, *COMPANIONS}
+    try:
+        manifest = json.loads((target / MANIFEST).read_text(encoding="utf-8"))
+        known |= {entry["file"] for entry in manifest["textures"]} if manifest["format"] == FORMAT else set()
+    except (OSError, ValueError, KeyError, TypeError):
+        raise DataError(
+            message(str(target), "the target", "be empty or a material folder", f"it holds {present[0]!r}", step)
+        ) from None
+    foreign = [name for name in present if name not in known]
+    if foreign:
+        fact = f"it also holds {len(foreign)} other files, first {foreign[0]!r}"
+        raise DataError(message(str(target), "the target", "hold nothing but a material", fact, step))
+
+
+def save_material(
+    material: Material, folder: str | Path, provenance: dict[str, Any] | None = None,
+    companions: Callable[[Path], None] | None = None,
+) -> Path:
+    """Write `material` as a folder that appears whole or not at all; return its path.
+
+    A material that stands there is replaced in one step; a folder that holds anything else is refused, so that no
+    file of the user's is lost. `companions` may write more (report, pictures) into the folder before it appears.
+    Raises DataError when the folder cannot be written, RangeError when a map cannot be stored.
+    """
+    target = Path(folder)
+    _refuse_foreign(target)
+    with atomic.building(target) as building:
+        write_material(material, building, provenance)
+        if companions is not None:
+            companions(building)
+    return target
+
+
+def read_manifest(folder: str | Path) -> dict[str, Any]:
+    """Return the manifest of a material folder; raises DataError when there is none or it is not understood."""
+    path = Path(folder) / MANIFEST
+    if not path.is_file():
+        step = "Give the folder that `save_material` or `torchmat fit --out` wrote."
+        raise DataError(message(str(path), "the manifest", "exist", "it is not there", step))
+    try:
+        manifest = json.loads(path.read_text(encoding="utf-8"))
+        kind, number = manifest["format"], manifest["version"]
+    except (ValueError, KeyError, TypeError) as error:
+        step = "Restore the file from the original."
+        raise DataError(message(str(path), "the manifest", "be a torchmat material", str(error), step)) from error
+    if kind != FORMAT:
+        raise DataError(message(str(path), "format", f"be {FORMAT!r}", f"it is {kind!r}"))
+    if number != VERSION:
+        step = "Update torchmat, or export the material again."
+        raise DataError(message(str(path), "version", f"be {VERSION}", f"it is {number!r}", step))
+    return manifest
+
+
+def _read_texture(folder: Path, entry: dict[str, Any]) -> torch.Tensor:
+    name = entry["file"]
+    path = folder / name
+    if Path(name).name != name:
+        raise DataError(message(str(folder / MANIFEST), f"file {name!r}", "be a plain name", "it leads elsewhere"))
+    if not path.is_file():
+        raise DataError(message(str(path), "the texture", "exist", "it is not there", "Restore or export it again."))
+    pixels = read_image(path)
+    wanted = (entry["height"], entry["width"], entry["channels"])
+    if pixels.shape[2] == wanted[2] + 1 and wanted[2] in (1, 3):
+        pixels = pixels[:, :, : wanted[2]]  # paint programs like to add alpha
+    if pixels.shape != wanted:
+        fact = f"it is {pixels.shape[0]} x {pixels.shape[1]} with {pixels.shape[2]} channels"
+        step = "Scale the texture back, or export the material again."
+        raise DataError(message(str(path), "the texture", f"be {wanted[0]} x {wanted[1]} x {wanted[2]}", fact, step))
+    stored_as_codes, is_codes = "low" in entry, np.issubdtype(pixels.dtype, np.integer)
+    if stored_as_codes and not is_codes:
+        fact = f"it is {pixels.dtype.name}"
+        raise DataError(message(str(path), "the texture", "hold 8- or 16-bit codes", fact, "Save it with that depth."))
+    low, high = tuple(entry.get("low", ())), tuple(entry.get("high", ()))
+    return decode(Codes(np.ascontiguousarray(pixels), low, high, entry["transfer"]))
+
+
+def load_material(path: str | Path) -> Material:
+    """Return the material of a folder, exactly as its textures hold it.
+
+    Textures may have been painted over, in 8 or 16 bits. Raises DataError, naming the file, when a texture is
+    missing, has another size or leaves its range, or when the manifest's version is unknown.
+    """
+    folder = Path(path)
+    manifest = read_manifest(folder)
+    where = folder / MANIFEST
+    try:
+        check_option(str(where), "model", manifest["model"], MATERIALS)
+        parts: dict[str, list[torch.Tensor]] = {}
+        for entry in manifest["textures"]:
+            parts.setdefault(entry["map"], []).append(_read_texture(folder, entry))
+        maps = {name: torch.cat(pieces) for name, pieces in parts.items()}
+        maps |= {name: torch.tensor(values, dtype=torch.float32) for name, values in manifest["constants"].items()}
+        options = dict(manifest["options"])
+        settings = {"storage": manifest["storage"], "tiles": manifest["tiles"]}
+        return MATERIALS[manifest["model"]](maps, **settings, **options)
+    except DataError:
+        raise
+    except TorchmatError as error:
+        raise DataError(f"{where}: {error}") from error
+    except (KeyError, TypeError, ValueError, RuntimeError, AttributeError) as error:
+        step = "Restore the file from the original."
+        fact = f"{type(error).__name__}: {error}"
+        raise DataError(message(str(where), "the manifest", "describe a material", fact, step)) from error

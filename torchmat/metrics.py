@@ -1,0 +1,106 @@
+"""The error figures, one definition each.
+
+Predictions and targets are linear RGB planes [k, 3, H, W] in the package's value convention.
+
+- `mse`: mean squared linear error.
+- `relative_error`: sum (p - t)^2 / sum t^2, linear.
+- `psnr_db`: peak 1, after clamping to [0, 1] and sRGB encoding; pooled over all samples; capped at 200 dB.
+- `psnr_log_db`: peak 1, after the mu-law log(1 + mu v) / log(1 + mu), mu = 5000, usual for HDR images (Kalantari and
+  Ramamoorthi 2017): sees dark texels beside highlights that `psnr_db` clamps.
+- `ssim`: kornia's, window 11, on the sRGB-encoded images; None below 6 texels on a side, where it is not defined.
+- `delta_e`: mean CIEDE2000.
+
+Invalid samples count nowhere. Where a target is clipped the truth is only known to be at least that bright, so a
+prediction above it is no error, one below is.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import torch
+from torch import Tensor
+
+from torchmat import colour
+
+_MU = 5000.0
+_CAP_DB = 200.0
+_SSIM_WINDOW = 11
+
+
+def psnr(mean_squared_error: float) -> float:
+    """Return the peak signal-to-noise ratio in dB for peak 1, capped at 200."""
+    return min(_CAP_DB, -10 * math.log10(max(mean_squared_error, 1e-300)))
+
+
+def log_encode(image: Tensor) -> Tensor:
+    """Return the mu-law encoding of linear `image`; 1 maps to 1, negative values count as 0."""
+    return torch.log1p(_MU * image.clamp(min=0)) / math.log1p(_MU)
+
+
+def relative(error: float, energy: float) -> float | None:
+    """Return error / energy; 0 for 0 / 0, None where only the energy is 0."""
+    if energy > 0:
+        return error / energy
+    return 0.0 if error == 0 else None
+
+
+@dataclass
+class SampleErrors:
+    """Sums per sample, from which every pooled figure and every band is made. Lists grow by `add`."""
+
+    squared: list[Tensor] = field(default_factory=list)
+    energy: list[Tensor] = field(default_factory=list)
+    display: list[Tensor] = field(default_factory=list)
+    log: list[Tensor] = field(default_factory=list)
+    count: list[Tensor] = field(default_factory=list)
+    ssim: list[Tensor] = field(default_factory=list)
+    delta_e: list[Tensor] = field(default_factory=list)
+
+    def add(self, prediction: Tensor, target: Tensor, valid: Tensor, clipped: Tensor, perceptual: Tensor) -> None:
+        """Add samples: planes [k, 3, H, W], masks [k, 1 or 3, H, W], and which of the k get SSIM and CIEDE2000."""
+        prediction = torch.where(clipped, torch.minimum(prediction, target), prediction)
+        prediction, target = prediction * valid, target * valid
+        shown, wanted = colour.display(prediction), colour.display(target)
+        for found, difference in (
+            (self.squared, prediction - target), (self.energy, target), (self.display, shown - wanted),
+            (self.log, log_encode(prediction) - log_encode(target)),
+        ):
+            found.append(difference.square().sum(dim=(1, 2, 3), dtype=torch.float64))
+        self.count.append(3 * valid.sum(dim=(1, 2, 3), dtype=torch.float64))
+        if bool(perceptual.any()):
+            self._add_perceptual(shown[perceptual], wanted[perceptual])
+
+    def _add_perceptual(self, shown: Tensor, wanted: Tensor) -> None:
+        if min(shown.shape[-2:]) > _SSIM_WINDOW // 2:
+            from kornia.metrics import ssim
+
+            similarity = ssim(shown.float(), wanted.float(), _SSIM_WINDOW)
+            self.ssim.append(similarity.mean(dim=(1, 2, 3), dtype=torch.float64))
+        lab = [colour.srgb_to_lab(image) for image in (shown, wanted)]
+        self.delta_e.append(colour.ciede2000(*lab).mean(dim=(1, 2), dtype=torch.float64))
+
+    def pooled(self, chosen: Tensor | None = None) -> dict[str, float | None]:
+        """Return mse, relative_error, psnr_db, psnr_log_db over all samples or the `chosen` (bool)."""
+        squared, energy, display, log, count = (
+            float(torch.cat(part)[... if chosen is None else chosen].sum())
+            for part in (self.squared, self.energy, self.display, self.log, self.count)
+        )
+        count = max(count, 1.0)
+        return {
+            "mse": squared / count, "relative_error": relative(squared, energy),
+            "psnr_db": psnr(display / count), "psnr_log_db": psnr(log / count),
+        }
+
+    def report(self) -> dict[str, float | None]:
+        """Return all six figures."""
+        means = {
+            name: float(torch.cat(part).mean()) if part else None
+            for name, part in (("ssim", self.ssim), ("delta_e", self.delta_e))
+        }
+        return {**self.pooled(), **means}
+
+    def per_sample_display(self) -> Tensor:
+        """Return the mean squared display error of each sample, what `psnr_db` pools."""
+        return torch.cat(self.display) / torch.cat(self.count).clamp(min=1)

@@ -1,0 +1,12 @@
+"""Materials: maps plus a differentiable shade(light, view); the table of all of them."""
+
+from torchmat.models.base import Material
+from torchmat.models.linear import Hsh, Lambert, Lptm, Ptm, Texture
+from torchmat.models.pca import LocalPca, Pca
+from torchmat.models.phong_srf import PhongSrf
+
+MATERIALS: dict[str, type[Material]] = {
+    model.name: model for model in (Texture, Lambert, Ptm, Lptm, Hsh, PhongSrf, Pca, LocalPca)
+}
+
+__all__ = ["MATERIALS", "Hsh", "Lambert", "LocalPca", "Lptm", "Material", "Pca", "PhongSrf", "Ptm", "Texture"]

@@ -1,0 +1,64 @@
+"""Values known at some pairs of light and view, interpolated to any other pair.
+
+Factorised models (PCA) have numbers at the measured directions only. Between them we fit a plane to the nearest
+neighbours in the four projected coordinates (light x, y, view x, y), weighted by inverse distance (moving least
+squares); at a measured direction this returns the measured number.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+NEIGHBOURS = 12
+_QUERIES = 4096  # at a time: the table of distances to all measured directions is the largest tensor
+_SLOPE_DAMPING = 0.05  # of the weighted spread; too few or coplanar neighbours fall back to a weighted mean
+
+
+def neighbour_weights(known: Tensor, light: Tensor, view: Tensor) -> tuple[Tensor, Tensor]:
+    """Return (index [q, k], weight [q, k]) such that the sum of weight * table[index] interpolates a table [n, C].
+
+    `known` [n, 4] are projected directions, `light` and `view` [q, 3] unit vectors. Weights sum to 1.
+    """
+    queries = torch.cat((light[:, :2], view[:, :2]), dim=1)
+    parts = [_local_weights(known, part) for part in queries.split(_QUERIES)]
+    index, weight = zip(*parts, strict=True)
+    return torch.cat(index), torch.cat(weight)
+
+
+def _local_weights(known: Tensor, queries: Tensor) -> tuple[Tensor, Tensor]:
+    count = min(NEIGHBOURS, len(known))
+    # Differences squared, not the expanded form: at a measured direction the distance must be exactly 0.
+    squared = torch.zeros(len(queries), len(known), dtype=known.dtype)
+    for axis in range(known.shape[1]):
+        squared += (queries[:, axis : axis + 1] - known[:, axis]) ** 2
+    distance, index = squared.topk(count, dim=1, largest=False)
+    offset = known[index] - queries[:, None, :]
+    scale = distance[:, -1:].clamp(min=1e-12)
+    # The square of the inverse distance, falling to 0 at the last neighbour so that none drops out with a jump.
+    near = (1 / (distance / scale + 1e-7) ** 1.0) * (1 - 0.999 * distance / scale)
+    near = near / near.sum(dim=1, keepdim=True)
+    return index, _plane(near, offset)
+
+
+def _plane(near: Tensor, offset: Tensor) -> Tensor:
+    """Turn mean weights into those of a fitted plane's value at the query: near * (1 - slope correction)."""
+    centre = (near[..., None] * offset).sum(dim=1, keepdim=True)
+    spread = offset - centre
+    moment = torch.einsum("qk,qki,qkj->qij", near, spread, spread)
+    trace = moment.diagonal(dim1=-2, dim2=-1).sum(-1)[:, None, None]
+    damped = moment + (_SLOPE_DAMPING * trace + 1e-12) * torch.eye(moment.shape[-1], dtype=moment.dtype)
+    slope = torch.linalg.solve(damped, centre.transpose(1, 2))
+    return near * (1 - (spread @ slope)[..., 0])
+
+
+def projected(light: Tensor, view: Tensor) -> Tensor:
+    """Return the projected coordinates [n, 4] of unit vectors [n, 3]."""
+    return torch.cat((light[:, :2], view[:, :2]), dim=1)
+
+
+def pairs(light: Tensor, view: Tensor) -> tuple[Tensor, Tensor, torch.Size]:
+    """Flatten planes of directions to rows [q, 3], and return the shape [..., h, w] that rows go back to."""
+    light, view = torch.broadcast_tensors(light, view)
+    shape = light.shape[:-3] + light.shape[-2:]
+    return light.movedim(-3, -1).reshape(-1, 3), view.movedim(-3, -1).reshape(-1, 3), shape

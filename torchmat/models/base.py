@@ -1,0 +1,199 @@
+"""Material: maps, and a pure function from light and view to colour."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any, ClassVar, Self
+
+import torch
+import torch.nn.functional as functional
+from torch import Tensor, nn
+
+from torchmat.errors import ShapeError, check_known_keys, check_option, message
+from torchmat.models.storage import STORAGES, MapSpec, check_map, decode, encode
+
+
+class Material(nn.Module):
+    """A surface whose appearance is held by texture maps.
+
+    `maps` are parameters: [C, H, W] per texel, [C, rows, columns] for shared tables, [C] for constants, as `specs`
+    declares. `storage` names how textures are stored (a key of STORAGES); `tiles` whether the surface repeats.
+    Subclasses add keyword options, kept in `options`, and implement `specs` and `value`.
+    """
+
+    name: ClassVar[str]
+    isotropic: ClassVar[bool] = False
+    reciprocal: ClassVar[bool] = False
+
+    def __init__(self, maps: Mapping[str, Tensor], *, storage: str = "half", tiles: bool = True, **options: Any) -> None:
+        super().__init__()
+        check_option(self.name, "storage", storage, STORAGES)
+        self.storage = storage
+        self.tiles = tiles
+        self.options = options
+        specs = self.specs()
+        check_known_keys(self.name, maps, [spec.name for spec in specs])
+        missing = [spec.name for spec in specs if spec.name not in maps]
+        if missing:
+            fact = f"{', '.join(missing)} is missing"
+            raise ShapeError(message(self.name, "maps", f"hold {', '.join(s.name for s in specs)}", fact))
+        self.maps = nn.ParameterDict({spec.name: nn.Parameter(maps[spec.name].detach()) for spec in specs})
+        self._check_shapes(specs)
+
+    def _check_shapes(self, specs: tuple[MapSpec, ...]) -> None:
+        size = None
+        for spec in specs:
+            value = self.maps[spec.name]
+            dimensions = 1 if spec.constant else 3
+            if value.ndim != dimensions or value.shape[0] != spec.channels or 0 in value.shape:
+                shape = f"[{spec.channels}]" if spec.constant else f"[{spec.channels}, H, W]"
+                raise ShapeError(message(self.name, spec.name, f"be {shape}", f"it is {tuple(value.shape)}"))
+            check_map(self.name, spec, value)
+            if spec.per_texel and not spec.constant:
+                size = size or tuple(value.shape[-2:])
+                if tuple(value.shape[-2:]) != size:
+                    fact = f"it is {tuple(value.shape[-2:])} and other maps are {size}"
+                    raise ShapeError(message(self.name, spec.name, "have the size of the other maps", fact))
+
+    def specs(self) -> tuple[MapSpec, ...]:
+        """Return what each map is."""
+        raise NotImplementedError
+
+    def value(self, light: Tensor, view: Tensor) -> Tensor:
+        """Return the value for light and view above the horizon; what it says below is never used."""
+        raise NotImplementedError
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Height and width in texels."""
+        for spec in self.specs():
+            if spec.per_texel and not spec.constant:
+                height, width = self.maps[spec.name].shape[-2:]
+                return height, width
+        return 1, 1
+
+    @property
+    def texels(self) -> int:
+        """Height times width."""
+        return math.prod(self.size)
+
+    def shade(self, light: Tensor, view: Tensor) -> Tensor:
+        """Return ``pi * f_r * cos(light)``, linear RGB, never negative.
+
+        `light`, `view`: unit vectors [..., 3, H, W], one per texel, or [..., 3, 1, 1], one per image; they broadcast.
+        The result is [..., 3, H, W]. Exactly 0, with gradient 0, where the light or the view is not above z = 0.
+        Raises ShapeError when the directions do not fit the maps.
+        """
+        self._check_directions(light, view)
+        above = (light[..., 2:3, :, :] > 0) & (view[..., 2:3, :, :] > 0)
+        # Below the horizon the model sees the pole instead, where it is finite, so that the gradient is 0 and not NaN.
+        pole = torch.zeros(3, 1, 1, dtype=light.dtype)
+        pole[2] = 1
+        value = self.value(torch.where(above, light, pole), torch.where(above, view, pole))
+        return torch.where(above, value.clamp(min=0), torch.zeros((), dtype=value.dtype))
+
+    def _check_directions(self, light: Tensor, view: Tensor) -> None:
+        for name, direction in (("light", light), ("view", view)):
+            fits = direction.ndim >= 3 and direction.shape[-3] == 3
+            fits = fits and tuple(direction.shape[-2:]) in ((1, 1), self.size)
+            if not fits:
+                height, width = self.size
+                requirement = f"be [..., 3, 1, 1] or [..., 3, {height}, {width}]"
+                step = "Vectors lie on dimension -3; `at` brings the maps to another size."
+                raise ShapeError(message(f"{self.name}.shade", name, requirement, f"it is {tuple(direction.shape)}", step))
+
+    def with_maps(self, **maps: Tensor) -> Self:
+        """Return a material with some maps replaced."""
+        return type(self)({**self.maps, **maps}, storage=self.storage, tiles=self.tiles, **self.options)
+
+    def stored_as(self, storage: str) -> Self:
+        """Return the same material with its textures to be stored as `storage`."""
+        return type(self)(dict(self.maps), storage=storage, tiles=self.tiles, **self.options)
+
+    def at(self, uv: Tensor) -> Self:
+        """Return the material as seen at texture coordinates `uv` [2, H, W]: a material of that size.
+
+        u runs to the right and v up, each texture spans 0..1 and repeats if the material tiles (else its border
+        goes on). Maps are filtered bilinearly, indices take the nearest texel.
+        """
+        if uv.ndim != 3 or uv.shape[0] != 2:
+            raise ShapeError(message(f"{self.name}.at", "uv", "be [2, H, W]", f"it is {tuple(uv.shape)}"))
+        found = {}
+        for spec in self.specs():
+            value = self.maps[spec.name]
+            found[spec.name] = value if spec.constant or not spec.per_texel else self._look_up(value, uv, spec.index)
+        return self.with_maps(**found)
+
+    def _look_up(self, value: Tensor, uv: Tensor, nearest: bool) -> Tensor:
+        height, width = value.shape[-2:]
+        u, v = (uv % 1.0 if self.tiles else uv).to(value.dtype)
+        if self.tiles:
+            # One texel of the opposite border on each side makes the filter wrap.
+            value = functional.pad(value[None], (1, 1, 1, 1), mode="circular")[0]
+            u, v = (u * width + 1) / (width + 2), ((1 - v) * height + 1) / (height + 2)
+        else:
+            v = 1 - v
+        grid = torch.stack((u * 2 - 1, v * 2 - 1), dim=-1)[None]
+        mode = "nearest" if nearest else "bilinear"
+        return functional.grid_sample(value[None], grid, mode=mode, padding_mode="border", align_corners=False)[0]
+
+    def _storage_of(self, spec: MapSpec) -> str:
+        # Shared tables are few bytes and set the brightness of every texel, so they keep at least half precision.
+        default = "half" if not spec.per_texel and STORAGES[self.storage].levels == 255 else self.storage
+        return spec.storage or default
+
+    def textures(self) -> list[tuple[MapSpec, str, Tensor, str]]:
+        """Return (map, texture name, values [C, H, W], storage) of every texture that export writes."""
+        found = []
+        for spec in self.specs():
+            if not spec.constant:
+                parts = self.maps[spec.name].detach().split(spec.layer_channels)
+                storage = self._storage_of(spec)
+                found += [(spec, name, part, storage) for name, part in zip(spec.textures, parts, strict=True)]
+        return found
+
+    def as_exported(self) -> Self:
+        """Return the material as its textures would bring it back, without writing files.
+
+        Raises RangeError when a map cannot be stored without leaving its range.
+        """
+        parts: dict[str, list[Tensor]] = {}
+        for spec, _, value, storage in self.textures():
+            parts.setdefault(spec.name, []).append(decode(encode(spec, value, storage)))
+        return self.with_maps(**{name: torch.cat(pieces) for name, pieces in parts.items()})
+
+    def _stored_bytes(self, per_texel: bool) -> int:
+        total = 0
+        for spec, _, value, storage in self.textures():
+            if spec.per_texel == per_texel:
+                size = (1 if spec.high <= 255 else 2) if spec.index else STORAGES[storage].bytes
+                total += value.numel() * size
+        return total
+
+    @property
+    def bytes_per_texel(self) -> float:
+        """Bytes of texture a texel takes as stored, before any file compression; shared tables stand beside it."""
+        return self._stored_bytes(per_texel=True) / self.texels
+
+    @property
+    def shared_bytes(self) -> int:
+        """Bytes of the tables that all texels share, and of the constants (4 bytes each)."""
+        constants = sum(self.maps[spec.name].numel() for spec in self.specs() if spec.constant)
+        return self._stored_bytes(per_texel=False) + 4 * constants
+
+
+def combine(weights: Tensor, layers: Tensor) -> Tensor:
+    """Return the sum over K of weights [..., K, h, w] times layers [K, C, H, W] as [..., C, H, W].
+
+    With one weight per image (h = w = 1) this is one matrix product; with one per texel it is summed plane by plane.
+    """
+    count, channels, height, width = layers.shape
+    if weights.shape[-2:] == (1, 1):
+        lead = weights.shape[:-3]
+        flat = weights.reshape(-1, count) @ layers.reshape(count, -1)
+        return flat.reshape(*lead, channels, height, width)
+    total = weights[..., 0:1, :, :] * layers[0]
+    for index in range(1, count):
+        total = total + weights[..., index : index + 1, :, :] * layers[index]
+    return total

@@ -1,0 +1,108 @@
+"""Functions of light and view that linear models weigh: one table, used by shading and by fitting.
+
+Each takes unit vectors `light`, `view` [..., 3, h, w] and returns planes [..., K, h, w].
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torchmat import frames, safe
+
+
+class Basis(NamedTuple):
+    """Names of the K terms, and the function that evaluates them."""
+
+    terms: tuple[str, ...]
+    evaluate: Callable[[Tensor, Tensor], Tensor]
+
+
+def _half(light: Tensor, view: Tensor) -> Tensor:
+    """s . H (Ma et al. 2004, eq. 4)."""
+    return frames.half_vector(light, view)
+
+
+def _half_light(light: Tensor, view: Tensor) -> Tensor:
+    """s . H + t . L + constant."""
+    half = frames.half_vector(light, view)
+    half, light = torch.broadcast_tensors(half, light)
+    return torch.cat((half, light, torch.ones_like(light[..., :1, :, :])), dim=-3)
+
+
+def _quadratic(light: Tensor, view: Tensor) -> Tensor:
+    """All products up to degree two of the projected light and view."""
+    light, view = torch.broadcast_tensors(light, view)
+    linear = [light[..., 0, :, :], light[..., 1, :, :], view[..., 0, :, :], view[..., 1, :, :]]
+    products = [linear[i] * linear[j] for i in range(4) for j in range(i, 4)]
+    return torch.stack([torch.ones_like(linear[0]), *linear, *products], dim=-3)
+
+
+def _polynomial(light: Tensor, view: Tensor) -> Tensor:
+    """The biquadratic of the projected light (Malzbender et al. 2001, eq. 1)."""
+    x, y = light[..., 0, :, :], light[..., 1, :, :]
+    return torch.stack((x * x, y * y, x * y, x, y, torch.ones_like(x)), dim=-3)
+
+
+def _cosine(light: Tensor, view: Tensor) -> Tensor:
+    return light[..., 2:3, :, :]
+
+
+def _legendre(degree: int, order: int, x: Tensor) -> Tensor:
+    """Associated Legendre polynomial without the Condon-Shortley phase; `x` in [-1, 1]."""
+    sine = safe.sqrt((1 - x) * (1 + x))
+    value = math.prod(range(2 * order - 1, 0, -2)) * torch.ones_like(x)
+    for _ in range(order):
+        value = value * sine
+    previous = torch.zeros_like(x)
+    for step in range(order + 1, degree + 1):
+        value, previous = ((2 * step - 1) * x * value - (step + order - 1) * previous) / (step - order), value
+    return value
+
+
+def _hemispherical(bands: int) -> Callable[[Tensor, Tensor], Tensor]:
+    """Hemispherical harmonics of the light (Gautron et al. 2004): orthonormal over the hemisphere."""
+
+    def evaluate(light: Tensor, view: Tensor) -> Tensor:
+        x, y, z = light.unbind(-3)
+        # cos and sin of m * azimuth from the normalised projection; at the pole they meet a factor of 0.
+        radius = safe.sqrt(x * x + y * y)
+        cosine, sine = safe.divide(x, radius), safe.divide(y, radius)
+        turns = [(torch.ones_like(x), torch.zeros_like(x))]
+        for _ in range(bands - 1):
+            c, s = turns[-1]
+            turns.append((c * cosine - s * sine, s * cosine + c * sine))
+        planes = []
+        for degree in range(bands):
+            for order in range(-degree, degree + 1):
+                m = abs(order)
+                scale = (2 * degree + 1) * math.factorial(degree - m) / (2 * math.pi * math.factorial(degree + m))
+                scale = math.sqrt(scale * (2 if m else 1))
+                turn = turns[m][0] if order >= 0 else turns[m][1]
+                planes.append(scale * _legendre(degree, m, 2 * z - 1) * turn)
+        return torch.stack(planes, dim=-3)
+
+    return evaluate
+
+
+def _hemispherical_terms(bands: int) -> tuple[str, ...]:
+    return tuple(f"{degree}_{order + degree}" for degree in range(bands) for order in range(-degree, degree + 1))
+
+
+_LINEAR = ("lx", "ly", "vx", "vy")
+_QUADRATIC_TERMS = ("1", *_LINEAR, *(f"{a}_{b}" for i, a in enumerate(_LINEAR) for b in _LINEAR[i:]))
+
+BASES: dict[str, Basis] = {
+    "half": Basis(("hx", "hy", "hz"), _half),
+    "half_light": Basis(("hx", "hy", "hz", "lx", "ly", "lz", "1"), _half_light),
+    "quadratic": Basis(_QUADRATIC_TERMS, _quadratic),
+    "polynomial": Basis(("lx_lx", "ly_ly", "lx_ly", "lx", "ly", "1"), _polynomial),
+    "cosine": Basis(("cos",), _cosine),
+    "hsh4": Basis(_hemispherical_terms(2), _hemispherical(2)),
+    "hsh9": Basis(_hemispherical_terms(3), _hemispherical(3)),
+    "hsh16": Basis(_hemispherical_terms(4), _hemispherical(4)),
+}

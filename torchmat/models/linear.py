@@ -1,0 +1,94 @@
+"""The baselines whose value is a weighted sum of known functions of the light, or nearly so.
+
+`texture`, `lambert`, and the models of reflectance transformation imaging: `ptm` and `lptm` (Malzbender et al. 2001)
+and `hsh` (Gautron et al. 2004, the hemispherical harmonics that RTI tools use). None of them sees the view.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from torch import Tensor
+
+from torchmat import safe
+from torchmat.errors import check_option
+from torchmat.models.base import Material, combine
+from torchmat.models.bases import BASES
+from torchmat.models.storage import MapSpec
+
+
+class Texture(Material):
+    """A colour per texel times the cosine of the light."""
+
+    name = "texture"
+
+    def specs(self) -> tuple[MapSpec, ...]:
+        return (MapSpec("albedo", "diffuse colour", low=0.0, colour=True, linear=True),)
+
+    def value(self, light: Tensor, view: Tensor) -> Tensor:
+        return combine(BASES["cosine"].evaluate(light, view), self.maps["albedo"][None])
+
+
+class Lambert(Material):
+    """An albedo and a normal per texel: photometric stereo's material."""
+
+    name = "lambert"
+
+    def specs(self) -> tuple[MapSpec, ...]:
+        return (
+            MapSpec("albedo", "diffuse colour", low=0.0, colour=True, linear=True),
+            MapSpec("normal", "unit normal, x right, y up", low=-1.0, high=1.0, fixed_range=True),
+        )
+
+    def value(self, light: Tensor, view: Tensor) -> Tensor:
+        normal = safe.normalise(self.maps["normal"])  # interpolation and integer codes shorten it
+        n_dot_l = combine(light, normal[:, None])
+        return self.maps["albedo"] * n_dot_l.clamp(min=0)
+
+
+class Ptm(Material):
+    """Polynomial texture map: a biquadratic of the projected light per texel and channel."""
+
+    name = "ptm"
+
+    def specs(self) -> tuple[MapSpec, ...]:
+        return (MapSpec("polynomial", "coefficient per term, RGB", layers=BASES["polynomial"].terms, linear=True),)
+
+    def value(self, light: Tensor, view: Tensor) -> Tensor:
+        weights = BASES["polynomial"].evaluate(light, view)
+        return combine(weights, self.maps["polynomial"].unflatten(0, (-1, 3)))
+
+
+class Lptm(Material):
+    """Luminance PTM: one biquadratic of luminance per texel, times a colour per texel."""
+
+    name = "lptm"
+
+    def specs(self) -> tuple[MapSpec, ...]:
+        terms = BASES["polynomial"].terms
+        return (
+            MapSpec("chroma", "colour per unit of luminance", low=0.0, colour=True, linear=True),
+            MapSpec("luminance", "coefficient per term", layers=terms, layer_channels=1, linear=True),
+        )
+
+    def value(self, light: Tensor, view: Tensor) -> Tensor:
+        weights = BASES["polynomial"].evaluate(light, view)
+        return combine(weights, self.maps["luminance"][:, None]).clamp(min=0) * self.maps["chroma"]
+
+
+class Hsh(Material):
+    """Hemispherical harmonics of the light: 4, 9 or 16 `terms` per texel and channel."""
+
+    name = "hsh"
+
+    def __init__(self, maps: Mapping[str, Tensor], *, terms: int = 9, **settings: Any) -> None:
+        check_option(self.name, "terms", terms, (4, 9, 16))
+        self._basis = BASES[f"hsh{terms}"]
+        super().__init__(maps, terms=terms, **settings)
+
+    def specs(self) -> tuple[MapSpec, ...]:
+        return (MapSpec("harmonic", "coefficient per term, RGB", layers=self._basis.terms, linear=True),)
+
+    def value(self, light: Tensor, view: Tensor) -> Tensor:
+        return combine(self._basis.evaluate(light, view), self.maps["harmonic"].unflatten(0, (-1, 3)))

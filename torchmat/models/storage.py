@@ -1,0 +1,162 @@
+"""How a map becomes the codes of a texture and comes back: the arithmetic, without any file.
+
+A material predicts what its textures hold, so both the writer and `Material.as_exported` go through here.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from torchmat import colour
+from torchmat.errors import RangeError, check_finite, check_option, message
+
+
+@dataclass(frozen=True)
+class Storage:
+    """One way to store a texture: file suffix and type of its codes."""
+
+    suffix: str
+    dtype: str
+
+    @property
+    def bytes(self) -> int:
+        """Bytes of one value."""
+        return np.dtype(self.dtype).itemsize
+
+    @property
+    def levels(self) -> int | None:
+        """The largest integer code; None for floating point."""
+        return int(np.iinfo(self.dtype).max) if self.dtype.startswith("uint") else None
+
+
+STORAGES = {
+    "half": Storage(".exr", "float16"),
+    "float": Storage(".exr", "float32"),
+    "png8": Storage(".png", "uint8"),
+    "png16": Storage(".png", "uint16"),
+    "tiff8": Storage(".tif", "uint8"),
+    "tiff16": Storage(".tif", "uint16"),
+}
+
+
+@dataclass(frozen=True)
+class MapSpec:
+    """What a map is.
+
+    `layers` names its textures, each of `layer_channels` channels, so the map has their product; an empty tuple means
+    one texture called like the map. `low` and `high` bound its values (None: unbounded); `fixed_range` says that
+    integer codes span exactly low..high rather than the values that occur. `colour` marks linear RGB, which 8-bit
+    textures hold sRGB-encoded. `index` marks whole numbers, always stored exactly and looked up without filtering.
+    `per_texel` is False for tables shared by all texels, `constant` True for a handful of numbers that go into the
+    manifest. `linear` says whether the shaded value is linear in the map. `storage` overrides the material's.
+    """
+
+    name: str
+    meaning: str
+    layers: tuple[str, ...] = ()
+    layer_channels: int = 3
+    low: float | None = None
+    high: float | None = None
+    fixed_range: bool = False
+    colour: bool = False
+    index: bool = False
+    per_texel: bool = True
+    constant: bool = False
+    linear: bool = False
+    storage: str | None = None
+
+    @property
+    def textures(self) -> tuple[str, ...]:
+        """Names of the textures that hold the map."""
+        return tuple(f"{self.name}_{layer}" for layer in self.layers) if self.layers else (self.name,)
+
+    @property
+    def channels(self) -> int:
+        """Channels of the map: textures times channels of each."""
+        return len(self.textures) * self.layer_channels
+
+
+@dataclass(frozen=True)
+class Codes:
+    """One texture as codes: `pixels` [H, W, C], and the `low` and `high` [C] values of its smallest and largest code.
+
+    Floating-point textures hold their values as they are; `low` and `high` are then empty. `transfer` is "linear" or
+    "srgb" (between low and high).
+    """
+
+    pixels: np.ndarray
+    low: tuple[float, ...] = ()
+    high: tuple[float, ...] = ()
+    transfer: str = "linear"
+
+
+def check_map(where: str, spec: MapSpec, value: Tensor) -> None:
+    """Raise RangeError when `value` is not finite or leaves the declared range of `spec`."""
+    check_finite(where, spec.name, value.detach())
+    for bound, outside in ((spec.low, value < (spec.low or 0)), (spec.high, value > (spec.high or 0))):
+        if bound is None or not bool(outside.any()):
+            continue
+        fact = f"{int(outside.sum())} of {value.numel()} values are not, the first is {float(value[outside][0]):.6g}"
+        requirement = f"lie in [{spec.low if spec.low is not None else '-inf'}, {spec.high or 'inf'}]"
+        raise RangeError(message(where, spec.name, requirement, fact, "Correct the map; it is never clipped."))
+
+
+def _srgb(values: Tensor, to_linear: bool) -> Tensor:
+    convert = colour.srgb_to_linear if to_linear else colour.linear_to_srgb
+    return convert(values)
+
+
+def encode(spec: MapSpec, value: Tensor, storage: str) -> Codes:
+    """Return the codes of one texture [C, H, W] of map `spec`.
+
+    Raises RangeError outside the declared range, or beyond what a half can hold.
+    """
+    check_option("encode", "storage", storage, STORAGES)
+    check_map("export", spec, value)
+    kind = STORAGES[storage]
+    planes = value.detach().double()
+    if spec.index:
+        return Codes(planes.round().permute(1, 2, 0).numpy().astype(np.uint8 if spec.high <= 255 else np.uint16))
+    if kind.levels is None:
+        pixels = planes.permute(1, 2, 0).numpy()
+        largest = float(np.abs(pixels).max())
+        if largest > np.finfo(kind.dtype).max:
+            step = "Store this map as float, or divide it by a constant."
+            fact = f"its largest magnitude is {largest:.6g}"
+            raise RangeError(message("export", spec.name, "fit a 16-bit half", fact, step))
+        return Codes(pixels.astype(kind.dtype))
+    low, high = _span(spec, planes)
+    transfer = "srgb" if spec.colour and kind.dtype == "uint8" and float(low.min()) >= 0 else "linear"
+    if transfer == "srgb":
+        low, high = torch.zeros_like(low), high.amax().expand_as(high)
+    width = torch.where(high > low, high - low, torch.ones_like(low))
+    share = (planes - low[:, None, None]) / width[:, None, None]
+    if transfer == "srgb":
+        share = _srgb(share, to_linear=False)
+    codes = (share * kind.levels).round().clamp(0, kind.levels)  # the clamp meets rounding errors of 1e-16 only
+    return Codes(codes.permute(1, 2, 0).numpy().astype(kind.dtype), tuple(low.tolist()), tuple(high.tolist()), transfer)
+
+
+def _span(spec: MapSpec, planes: Tensor) -> tuple[Tensor, Tensor]:
+    if spec.fixed_range and spec.low is not None and spec.high is not None:
+        low, high = torch.full((len(planes),), spec.low), torch.full((len(planes),), spec.high)
+        return low.double(), high.double()
+    # Floats of 32 bits, so that the manifest's decimal text brings back the same numbers.
+    return planes.amin(dim=(1, 2)).float().double(), planes.amax(dim=(1, 2)).float().double()
+
+
+def decode(codes: Codes) -> Tensor:
+    """Return the texture [C, H, W], float32, that `codes` stand for."""
+    pixels = codes.pixels
+    if not codes.low:
+        return torch.from_numpy(np.ascontiguousarray(pixels.transpose(2, 0, 1)).astype(np.float32))
+    share = torch.from_numpy(pixels.transpose(2, 0, 1).astype(np.float64) / np.iinfo(pixels.dtype).max)
+    if codes.transfer == "srgb":
+        share = _srgb(share, to_linear=True)
+    low = torch.tensor(codes.low, dtype=torch.float64)[:, None, None]
+    high = torch.tensor(codes.high, dtype=torch.float64)[:, None, None]
+    return (low + share * (high - low)).float().contiguous()

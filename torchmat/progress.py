@@ -1,0 +1,16 @@
+"""Progress bars on a terminal, silence in a pipe."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from typing import TypeVar
+
+Item = TypeVar("Item")
+
+
+def progress(items: Iterable[Item], what: str, total: int | None = None, show: bool | None = None) -> Iterator[Item]:
+    """Iterate over `items` with a bar on standard error; `show` None means only on a terminal."""
+    from tqdm import tqdm
+
+    disable = None if show is None else not show
+    return iter(tqdm(items, desc=what, total=total, disable=disable, leave=False, dynamic_ncols=True))

@@ -1,0 +1,5 @@
+"""Pictures of materials."""
+
+from torchmat.render.render import render
+
+__all__ = ["render"]

@@ -1,0 +1,81 @@
+"""One self-contained page: tables and pictures of a fit, nothing fetched from anywhere."""
+
+from __future__ import annotations
+
+import base64
+import html
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from torchmat.report.tables import FIGURES, number
+
+_STYLE = """
+body{font-family:system-ui,sans-serif;margin:2em auto;max-width:62em;padding:0 1em;color:#222}
+table{border-collapse:collapse;margin:1em 0}td,th{padding:.3em .8em;border-bottom:1px solid #ddd;text-align:right}
+td:first-child,th:first-child{text-align:left}img{max-width:100%}figure{margin:2em 0}figcaption{color:#555}
+"""
+_CAPTIONS = {
+    "comparison": "Target, fit and difference at the held-out samples of median and largest error, and the most grazing.",
+    "error_by_angle": "Error against the polar angle of light and view.",
+    "sphere": "The material on a sphere.",
+    "coverage": "Which share of its unknowns each texel's samples determine.",
+    "directions": "Lights and views on the projected hemisphere.",
+    "error_against_bytes": "Held-out error against bytes per texel.",
+    "error_against_seconds": "Held-out error against fit seconds.",
+}
+
+
+def _table(header: Sequence[str], rows: Sequence[Sequence[Any]]) -> str:
+    def line(cells: Sequence[Any], tag: str) -> str:
+        return "<tr>" + "".join(f"<{tag}>{html.escape(number(cell))}</{tag}>" for cell in cells) + "</tr>"
+
+    return f"<table>{line(header, 'th')}{''.join(line(row, 'td') for row in rows)}</table>"
+
+
+def _figure(path: Path) -> str:
+    data = base64.b64encode(path.read_bytes()).decode()
+    caption = html.escape(_CAPTIONS.get(path.stem, path.stem.replace("_", " ")))
+    return f'<figure><img alt="{caption}" src="data:image/png;base64,{data}"><figcaption>{caption}</figcaption></figure>'
+
+
+def _page(title: str, body: list[str]) -> str:
+    head = f'<!doctype html><html lang="en"><meta charset="utf-8"><title>{html.escape(title)}</title>'
+    return f"{head}<style>{_STYLE}</style><h1>{html.escape(title)}</h1>{''.join(body)}</html>"
+
+
+def _bands(report: dict[str, Any]) -> str:
+    part = report["held_out"] or report["train"]
+    rows = [
+        [f"{row['angle']} {row['from_deg']}-{row['to_deg']}°", row["samples"], row["relative_error"], row["psnr_db"]]
+        for row in part["by_angle"]
+    ]
+    return _table(["polar angle", "samples", "relative error", "PSNR (dB)"], rows)
+
+
+def fit_page(report: dict[str, Any], pictures: Sequence[Path]) -> str:
+    """Return the page of one fit."""
+    source = report["source"]
+    columns = [name for name in ("train", "held_out", "held_out_after_export") if report.get(name)]
+    errors = [[figure, *(report[name][figure] for name in columns)] for figure in FIGURES]
+    facts = [
+        ["source", f"{source['kind']}, {source['lights']} lights x {source['views']} views"],
+        ["size", f"{source['height']} x {source['width']} texels, {report['samples']} images"],
+        ["clipped / invalid share", f"{number(source['clipped_share'])} / {number(source['invalid_share'])}"],
+        ["options", ", ".join(f"{k}={v}" for k, v in report["options"].items())],
+        ["held out", f"{number(report['holdout'])} of the samples, by {report['holdout_by']}, seed {report['seed']}"],
+        ["bytes per texel", f"{number(report['bytes_per_texel'])}, and {report['shared_bytes']} shared by all texels"],
+        ["load / fit", f"{number(report['load_seconds'])} s / {number(report['fit_seconds'])} s"],
+        ["shading", f"{number(report['shade_mtexels_per_s'])} million texels a second"],
+        ["stopped because", report["stop_reason"]],
+    ]
+    body = [
+        _table(["", *(name.replace("_", " ") for name in columns)], errors),
+        _table(["", ""], facts), *map(_figure, pictures), "<h2>By polar angle</h2>", _bands(report),
+    ]
+    return _page(f"{report['model']} fitted to {Path(source['path']).name}", body)
+
+
+def comparison_page(title: str, header: Sequence[str], rows: Sequence[Sequence[Any]], pictures: Sequence[Path]) -> str:
+    """Return the page of a comparison of models."""
+    return _page(title, [_table(header, rows), *map(_figure, pictures)])

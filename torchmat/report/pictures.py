@@ -1,0 +1,157 @@
+"""Pictures of a fit: target | fit | difference, error by angle, coverage, sphere. Matplotlib, to files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from torchmat import colour
+from torchmat.btf import Btf
+from torchmat.fit import FitResult, predict
+from torchmat.render import render
+
+DPI = 120
+
+
+def _pyplot():
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as pyplot
+
+    return pyplot
+
+
+def _shown(image: Tensor) -> Any:
+    return colour.display(image).permute(1, 2, 0).numpy()
+
+
+def _save(figure: Any, path: Path) -> Path:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path, dpi=DPI, bbox_inches="tight", metadata={"Software": None})
+    _pyplot().close(figure)
+    return path
+
+
+def telling_samples(btf: Btf, result: FitResult) -> list[tuple[str, int]]:
+    """Return (why, sample): the held-out samples of median and largest display error, and the most grazing one.
+
+    Without held-out samples the training samples stand in, in the order of their index.
+    """
+    indices = result.split.held_out if len(result.split.held_out) else result.split.train
+    errors = result.held_out_errors
+    if errors is None:
+        errors = torch.arange(len(indices), dtype=torch.float64)
+    order = errors.argsort()
+    graze = btf.light[indices, 2] + btf.view[indices, 2]
+    chosen = {"median": order[len(order) // 2], "worst": order[-1], "grazing": graze.argmin()}
+    return [(why, int(indices[position])) for why, position in chosen.items()]
+
+
+def _degrees(direction: Tensor) -> str:
+    polar = float(torch.rad2deg(torch.acos(direction[2].clamp(-1, 1))))
+    azimuth = float(torch.rad2deg(torch.atan2(direction[1], direction[0]))) % 360
+    return f"{polar:.0f}°/{azimuth:.0f}°"
+
+
+def comparison_picture(btf: Btf, result: FitResult, path: Path) -> Path:
+    """Draw target | fit | signed difference (grey is none) for the telling samples."""
+    rows = telling_samples(btf, result)
+    figure, axes = _pyplot().subplots(len(rows), 3, figsize=(9, 3.2 * len(rows)), squeeze=False)
+    for line, (why, sample) in zip(axes, rows, strict=True):
+        target = btf.image(sample)
+        fitted = predict(result.material, btf, torch.tensor([sample]))[0].to(target.dtype)
+        # One brightness for the row: grazing images would otherwise be black on black.
+        scale = float(target.quantile(0.99).clamp(min=1e-6)) if target.numel() < 1e7 else float(target.max())
+        scale = 1.0 if scale > 0.5 else scale
+        difference = (colour.display(fitted / scale) - colour.display(target / scale)) / 2 + 0.5
+        pictures = (_shown(target / scale), _shown(fitted / scale), difference.permute(1, 2, 0).numpy())
+        title = f"{why}: light {_degrees(btf.light[sample])}, view {_degrees(btf.view[sample])}"
+        brighter = "" if scale == 1.0 else f" (shown {1 / scale:.1f}x brighter)"
+        for axis, picture, name in zip(line, pictures, (title + brighter, "fit", "fit - target (grey: none)"), strict=True):
+            axis.imshow(picture, vmin=0, vmax=1, interpolation="nearest")
+            axis.set_title(name, fontsize=8)
+            axis.set_axis_off()
+    return _save(figure, path)
+
+
+def angle_picture(result: FitResult, path: Path) -> Path:
+    """Plot relative error and PSNR against the polar angle of light and of view, for train and held-out samples."""
+    figure, axes = _pyplot().subplots(1, 2, figsize=(9, 3.4))
+    styles = (("train", "--"), ("held_out", "-"))
+    for which, style in styles:
+        part = result.report[which]
+        if part is None:
+            continue
+        for angle in ("light", "view"):
+            rows = [row for row in part["by_angle"] if row["angle"] == angle]
+            middle = [(row["from_deg"] + row["to_deg"]) / 2 for row in rows]
+            label = f"{angle}, {'held out' if which == 'held_out' else 'train'}"
+            errors = [float("nan") if row["relative_error"] is None else row["relative_error"] for row in rows]
+            axes[0].plot(middle, errors, style, marker="o", label=label)
+            axes[1].plot(middle, [row["psnr_db"] for row in rows], style, marker="o", label=label)
+    axes[0].set_ylabel("relative error")
+    axes[1].set_ylabel("PSNR (dB)")
+    for axis in axes:
+        axis.set_xlabel("polar angle (degrees)")
+        axis.set_xlim(0, 90)
+        axis.grid(alpha=0.3)
+    axes[0].legend(fontsize=8)
+    return _save(figure, path)
+
+
+def coverage_picture(result: FitResult, path: Path) -> Path | None:
+    """Draw which share of its unknowns each texel's samples determine; None when the model has no such map."""
+    if result.coverage is None:
+        return None
+    figure, axis = _pyplot().subplots(figsize=(4.4, 3.6))
+    drawn = axis.imshow(result.coverage[0].numpy(), vmin=0, vmax=1, cmap="viridis", interpolation="nearest")
+    axis.set_title("share of unknowns determined", fontsize=9)
+    axis.set_axis_off()
+    figure.colorbar(drawn)
+    return _save(figure, path)
+
+
+def sphere_picture(result: FitResult, path: Path, size: int = 384) -> Path:
+    """Draw the material on a sphere under two lights, one picture each."""
+    lights = ((-0.4, 0.5, 0.768), (0.85, 0.2, 0.487))
+    figure, axes = _pyplot().subplots(1, len(lights), figsize=(4 * len(lights), 4))
+    for axis, light in zip(axes, lights, strict=True):
+        picture = render(result.material, "sphere", [light], size=size, repeat=2.0)
+        axis.imshow(_shown(picture))
+        axis.set_title(f"light ({light[0]:g}, {light[1]:g}, {light[2]:g})", fontsize=8)
+        axis.set_axis_off()
+    return _save(figure, path)
+
+
+def directions_picture(btf: Btf, path: Path) -> Path:
+    """Draw where lights and views lie on the projected hemisphere, rings every 30 degrees."""
+    pyplot = _pyplot()
+    figure, axes = pyplot.subplots(1, 2, figsize=(8, 4))
+    for axis, name, directions in zip(axes, ("lights", "views"), (btf.lights, btf.views), strict=True):
+        for polar in (30, 60, 90):
+            radius = float(torch.sin(torch.deg2rad(torch.tensor(float(polar)))))
+            axis.add_patch(pyplot.Circle((0, 0), radius, fill=False, color="0.8", linewidth=0.8))
+        axis.plot(directions[:, 0].numpy(), directions[:, 1].numpy(), ".", markersize=5)
+        axis.set_title(f"{len(directions)} {name}", fontsize=9)
+        axis.set_xlim(-1.05, 1.05)
+        axis.set_ylim(-1.05, 1.05)
+        axis.set_aspect("equal")
+        axis.set_xlabel("x")
+        axis.set_ylabel("y")
+    return _save(figure, path)
+
+
+def write_pictures(btf: Btf, result: FitResult, folder: Path) -> list[Path]:
+    """Write all pictures of a fit into `folder`; return their paths."""
+    written = [
+        comparison_picture(btf, result, folder / "comparison.png"),
+        angle_picture(result, folder / "error_by_angle.png"),
+        sphere_picture(result, folder / "sphere.png"),
+        coverage_picture(result, folder / "coverage.png"),
+        directions_picture(btf, folder / "directions.png"),
+    ]
+    return [path for path in written if path is not None]
