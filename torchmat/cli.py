@@ -181,15 +181,18 @@ class Info:
             print(f"picture    {directions_picture(btf, self.plot or Path('directions.png'))}")
 
 
+_STYLE = (tyro.conf.FlagCreatePairsOff,)
 COMMANDS = {"fit": Fit, "render": Render, "compare": Compare, "info": Info}
 
 
 def main(arguments: list[str] | None = None, command: str | None = None) -> int:
     """Run the command line; `command` fixes the subcommand, as the scripts of the same names do."""
     if command is None:
-        chosen = tyro.extras.subcommand_cli_from_dict(COMMANDS, args=arguments, prog="torchmat", description=__doc__)
+        chosen = tyro.extras.subcommand_cli_from_dict(
+            COMMANDS, args=arguments, prog="torchmat", description=__doc__, config=_STYLE
+        )
     else:
-        chosen = tyro.cli(COMMANDS[command], args=arguments, prog=command)
+        chosen = tyro.cli(COMMANDS[command], args=arguments, prog=command, config=_STYLE)
     try:
         chosen.run()
     except TorchmatError as error:

@@ -16,6 +16,8 @@ from torchmat.errors import RangeError, ShapeError, check_finite, check_unit, me
 
 # Flag codes of a sample. Zero means valid, so that an untouched (sparse) file of flags means "all valid".
 VALID, CLIPPED, INVALID = 0, 1, 2
+# Little, so that unclipped samples decide where there are any; not 0, or a texel clipped throughout would turn black.
+CLIPPED_WEIGHT = 0.05
 _RELEASE_BYTES = 256_000_000  # a smaller store stays mapped: faulting its pages in again costs more than it saves
 BLOCK_VALUES = 8_000_000  # values of one decoded block: 32 MB in float32, small beside any BTF worth streaming
 _DIRECTION_DECIMALS = 4  # directions closer than about 1e-4 (0.006 degrees) are one direction
@@ -94,7 +96,7 @@ class Btf:
         view: Tensor,
         decoder: Decoder,
         source: Source | None = None,
-        clipped_weight: float = 1.0,
+        clipped_weight: float = CLIPPED_WEIGHT,
     ) -> None:
         self._store = store
         self._decoder = decoder

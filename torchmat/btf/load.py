@@ -9,7 +9,7 @@ from pathlib import Path
 
 import torch
 
-from torchmat.btf.btf import Btf, PixelStore, Source, unique_directions
+from torchmat.btf.btf import CLIPPED_WEIGHT, Btf, PixelStore, Source, unique_directions
 from torchmat.btf.cache import PixelOptions, open_store
 from torchmat.btf.decode import ENCODINGS, Decoder, resolve_encoding
 from torchmat.btf.readers import Listing, read_listing
@@ -32,7 +32,7 @@ def load_btf(
     invalid: str = "error",
     duplicates: str = "error",
     normalise: bool = False,
-    clipped_weight: float = 1.0,
+    clipped_weight: float = CLIPPED_WEIGHT,
     cache: bool | str | Path = True,
     progress: bool | None = None,
 ) -> Btf:

@@ -14,20 +14,23 @@ from torch import Tensor
 from torchmat.btf.btf import Btf
 
 _TEXELS = 16384  # solved at a time: their normal matrices are the largest tensors
+_DETERMINED = 1e-6  # share of the full design's information in a direction, below which a texel has none
 
 
 @dataclass(frozen=True)
 class Design:
-    """A design matrix [sample, K], orthonormalised: ``design = basis @ back``.
+    """A design matrix [sample, K], orthonormalised: ``matrix = basis @ back``.
 
-    `basis` [sample, rank] has orthonormal columns (rows of samples that do not take part are 0); `to_coefficients`
-    [K, rank] is the minimum-norm way back; `back` [rank, K]. Products are summed in the orthonormal basis, where
-    float32 does not lose the digits that the squared condition number of the plain normal equations would.
+    `basis` [sample, rank] has orthonormal columns (rows of samples that do not take part are 0); `back` [rank, K];
+    `to_coefficients` [K, rank] is the way back, of minimum norm where columns depend on each other. Products are
+    summed in the orthonormal basis, where float32 does not lose the digits that the squared condition number of the
+    plain normal equations would. `penalty` is what a squared coefficient costs.
     """
 
     basis: Tensor
-    to_coefficients: Tensor
     back: Tensor
+    to_coefficients: Tensor
+    penalty: float
 
     @property
     def rank(self) -> int:
@@ -40,18 +43,25 @@ class Design:
         return self.back.shape[1]
 
 
-def make_design(matrix: Tensor, used: Tensor) -> Design:
-    """Factorise `matrix` [sample, K] over the samples that are `used` (bool); dependent columns are dropped."""
+def make_design(matrix: Tensor, used: Tensor, ridge: float = 0.0) -> Design:
+    """Factorise `matrix` [sample, K] over the samples that are `used` (bool).
+
+    `ridge` penalises squared coefficients, as a share of the columns' mean energy; 0 is plain least squares.
+    """
     matrix = torch.where(used[:, None], matrix.double(), torch.zeros((), dtype=torch.float64))
-    # Singular vectors are taken of columns of one length, so that the rank does not depend on the terms' units.
+    # The rank is judged on columns of one length, so that it does not depend on the terms' units.
     length = matrix.norm(dim=0)
     length = torch.where(length > 0, length, torch.ones_like(length))
     left, singular, right = torch.linalg.svd(matrix / length, full_matrices=False)
     # Directions come in float32; what lies below their rounding is not a column of its own.
     kept = singular > singular.max().clamp(min=1e-300) * 1e-6
-    left, singular, right = left[:, kept], singular[kept], right[kept]
-    back = singular[:, None] * right * length
-    return Design(left, torch.linalg.pinv(back), back)
+    basis, back = left[:, kept], singular[kept, None] * right[kept] * length
+    penalty = ridge * float(matrix.square().sum()) / matrix.shape[1]
+    way_back = torch.linalg.pinv(back)
+    if penalty > 0:
+        damped = back.T @ back + penalty * torch.eye(back.shape[1], dtype=back.dtype)
+        way_back = torch.linalg.solve(damped, back.T)
+    return Design(basis, back, way_back, penalty)
 
 
 @dataclass(frozen=True)
@@ -85,13 +95,12 @@ class Deficit:
     """What reduced weights take away from the shared normal equations, for the texels that have any.
 
     `texels` [t] flat indices; `normal` [t, rank, rank]; `offset` [t, rank, 3] the same for the part of the values that
-    is already explained; `seen` [t] the summed weight of the used samples.
+    is already explained.
     """
 
     texels: Tensor
     normal: Tensor
     offset: Tensor
-    seen: Tensor
 
 
 def stream_deficit(btf: Btf, design: Design, used: Tensor, explained: Tensor) -> Deficit | None:
@@ -103,7 +112,7 @@ def stream_deficit(btf: Btf, design: Design, used: Tensor, explained: Tensor) ->
     row, column = torch.triu_indices(rank, rank)
     pairs = design.basis[:, row] * design.basis[:, column]
     offsets = (design.basis[:, :, None] * explained.double()[:, None, :]).flatten(1)
-    columns = torch.cat((pairs, offsets, used[:, None].double()), dim=1)
+    columns = torch.cat((pairs, offsets), dim=1)
     total, touched = None, torch.zeros(texels, dtype=torch.bool)
     for samples, weight in btf.weight_blocks(used):
         rows = slice(samples.start, samples.stop)
@@ -120,15 +129,14 @@ def stream_deficit(btf: Btf, design: Design, used: Tensor, explained: Tensor) ->
     normal = torch.zeros(len(where), rank, rank, dtype=torch.float64)
     normal[:, row, column] = total[: len(row)].T
     normal[:, column, row] = total[: len(row)].T
-    offset = total[len(row) : -1].T.unflatten(1, (rank, 3))
-    return Deficit(where, normal, offset, float(used.sum()) - total[-1])
+    return Deficit(where, normal, total[len(row) :].T.unflatten(1, (rank, 3)))
 
 
 @dataclass(frozen=True)
 class LinearFit:
     """`coefficients` [K, 3, H, W], and `coverage` [1, H, W]: the share of the K unknowns that the samples determine.
 
-    Where the coverage is below 1 the coefficients are those of minimum norm.
+    Where the coverage is below 1, coefficients are those of minimum norm, or rest on clipped samples alone.
     """
 
     coefficients: Tensor
@@ -149,39 +157,49 @@ def solve_texels(
     coverage = torch.full((1, btf.height, btf.width), design.rank / design.terms)
     deficit = stream_deficit(btf, design, used, explained)
     if deficit is not None:
+        # What only clipped samples tell has at most their weight's share of the full information.
+        floor = max(_DETERMINED, btf.clipped_weight if btf.clipped_share > 0 else 0.0)
         flat, ranks = coefficients.flatten(2), coverage.flatten()
         for part in torch.arange(len(deficit.texels)).split(_TEXELS):
             texels = deficit.texels[part]
             right = product.flatten(2)[:, :, texels].permute(2, 0, 1).double() + deficit.offset[part]
-            solved, rank = _solve_masked(design, deficit.normal[part], right)
+            solved, rank = _solve_masked(design, deficit.normal[part], right, floor)
             flat[:, :, texels] = solved.permute(1, 2, 0).to(dtype)
             ranks[texels] = (rank / design.terms).float()
         coefficients, coverage = flat.unflatten(2, (btf.height, btf.width)), ranks.reshape(coverage.shape)
     return LinearFit(coefficients.contiguous(), coverage)
 
 
-def _solve_masked(design: Design, deficit: Tensor, right: Tensor) -> tuple[Tensor, Tensor]:
+def _solve_masked(design: Design, deficit: Tensor, right: Tensor, floor: float) -> tuple[Tensor, Tensor]:
     """Solve texels [t] whose normal matrix is 1 - deficit in the orthonormal basis; return coefficients and ranks.
+
+    The rank counts directions with more than `floor` of the full design's information.
 
     Where that is well conditioned a Cholesky factorisation does; elsewhere the minimum-norm solution is taken in the
     space of the coefficients, where the norm has its meaning.
     """
     normal = torch.eye(design.rank, dtype=torch.float64) - deficit
-    factor, info = torch.linalg.cholesky_ex(normal)
-    weakest = factor.diagonal(dim1=-2, dim2=-1).amin(dim=1)
-    good = (info == 0) & (weakest > 1e-3)
-    solution = torch.zeros(len(normal), design.terms, right.shape[2], dtype=torch.float64)
-    rank = torch.full((len(normal),), float(design.rank), dtype=torch.float64)
+    values = torch.linalg.eigvalsh(normal)
+    rank = (values > floor).sum(dim=1).double()
+    solvable = (values > _DETERMINED).all(dim=1) & (design.rank == design.terms)
+    matrix = design.back.T @ normal @ design.back
+    matrix += design.penalty * torch.eye(design.terms, dtype=torch.float64)
+    right = design.back.T @ right
+    factor, failed = torch.linalg.cholesky_ex(matrix)
+    good = (failed == 0) & (solvable | (design.penalty > 0))
+    solution = torch.zeros_like(right)
     if bool(good.any()):
-        solved = torch.cholesky_solve(right[good], factor[good])
-        solution[good] = design.to_coefficients @ solved
+        solution[good] = torch.cholesky_solve(right[good], factor[good])
     if bool((~good).any()):
-        left = design.back.T @ normal[~good] @ design.back
-        scale = left.diagonal(dim1=-2, dim2=-1).amax(dim=1).clamp(min=1e-300)
-        values, vectors = torch.linalg.eigh(left / scale[:, None, None])
-        kept = values > 1e-7
-        inverse = torch.where(kept, 1 / torch.where(kept, values, 1.0), 0.0)
-        turned = vectors.transpose(1, 2) @ (design.back.T @ right[~good])
-        solution[~good] = vectors @ (inverse[..., None] * turned) / scale[:, None, None]
-        rank[~good] = kept.sum(dim=1).double()
+        solution[~good] = _minimum_norm(matrix[~good], right[~good])
     return solution, rank
+
+
+def _minimum_norm(matrix: Tensor, right: Tensor) -> Tensor:
+    """Solve symmetric positive semidefinite systems [t, K, K] for [t, K, 3] with the pseudo-inverse."""
+    scale = matrix.diagonal(dim1=-2, dim2=-1).amax(dim=1).clamp(min=1e-300)
+    values, vectors = torch.linalg.eigh(matrix / scale[:, None, None])
+    kept = values > 1e-8
+    inverse = torch.where(kept, 1 / torch.where(kept, values, 1.0), 0.0)
+    turned = vectors.transpose(1, 2) @ right
+    return vectors @ (inverse[..., None] * turned) / scale[:, None, None]

@@ -14,11 +14,11 @@ from torchmat.models.bases import BASES
 _LUMINANCE = (0.2126, 0.7152, 0.0722)  # Rec. 709
 
 
-def design_of(training: Training, basis: str) -> Design:
+def design_of(training: Training, basis: str, ridge: float = 0.0) -> Design:
     """Return the design matrix that `basis` makes of the training directions."""
     light, view = training.light.double(), training.view.double()
     matrix = BASES[basis].evaluate(light, view)[:, :, 0, 0]
-    return make_design(matrix, training.used)
+    return make_design(matrix, training.used, ridge)
 
 
 def _solve(training: Training, basis: str) -> tuple[Design, Moments, LinearFit]:
