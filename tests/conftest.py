@@ -1,0 +1,34 @@
+"""Fixtures that all tests see."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from support import all_pairs, hemisphere, plausible_images
+
+from torchmat import Btf
+
+
+@pytest.fixture(autouse=True)
+def own_cache(tmp_path, monkeypatch):
+    """Keep decoded images away from the user's cache folder."""
+    monkeypatch.setenv("TORCHMAT_CACHE", str(tmp_path / "torchmat-cache"))
+
+
+@pytest.fixture(autouse=True)
+def seeded():
+    """Start every test from the same random state."""
+    torch.manual_seed(0)
+
+
+@pytest.fixture(params=[torch.float32, torch.float64], ids=["float32", "float64"])
+def dtype(request):
+    """Run a test in both precisions."""
+    return request.param
+
+
+@pytest.fixture
+def small_btf() -> Btf:
+    """A BTF of 22 lights x 22 views and 5 x 4 texels, made by NumPy."""
+    light, view = all_pairs(hemisphere(), hemisphere())
+    return Btf.from_tensors(plausible_images(light, view), light, view)
