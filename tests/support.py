@@ -18,6 +18,7 @@ def assert_close(actual, expected, tolerance: float | None = None) -> None:
     actual, expected = torch.as_tensor(actual), torch.as_tensor(expected)
     assert actual.shape == expected.shape, f"shapes differ: {tuple(actual.shape)} and {tuple(expected.shape)}"
     bound = TOLERANCE[actual.dtype] if tolerance is None else tolerance
+    actual, expected = actual.detach(), expected.detach()
     assert bool(torch.isfinite(actual).all()), "not finite"
     scale = max(float(expected.abs().max()), 1e-30)
     worst = float((actual.double() - expected.double()).abs().max()) / scale

@@ -19,6 +19,7 @@ from torchmat.errors import DataError, message
 
 _EXCHANGE = 2  # RENAME_EXCHANGE of linux/fs.h
 _AT_FDCWD = -100
+_ASIDE = "-old"
 
 
 def _process_alive(process: int) -> bool:
@@ -37,9 +38,15 @@ def _prefix(target: Path) -> str:
 
 def _sweep(target: Path) -> None:
     """Remove what builders of the same target left behind when they were killed."""
-    for stale in target.parent.glob(f"{_prefix(target)}*"):
+    for stale in list(target.parent.iterdir()):  # no glob: a name may hold [ or *
+        if not stale.name.startswith(_prefix(target)):
+            continue
         owner = stale.name.removeprefix(_prefix(target)).split("-")[0]
-        if owner.isdigit() and not _process_alive(int(owner)):
+        if not owner.isdigit() or _process_alive(int(owner)):
+            continue
+        if stale.name.endswith(_ASIDE) and not target.exists():
+            os.rename(stale, target)  # killed between the two renames of `_install`
+        else:
             shutil.rmtree(stale, ignore_errors=True)
 
 
@@ -66,13 +73,17 @@ def _install(built: Path, target: Path) -> None:
         os.rename(built, target)
         return
     if _exchange(built, target):
-        shutil.rmtree(built)
+        shutil.rmtree(built, ignore_errors=True)  # the new folder stands; a rest is swept next time
         return
     # Without an exchange there is a moment with neither; the old folder then stands under the hidden name.
-    aside = built.with_name(built.name + "-old")
+    aside = built.with_name(built.name + _ASIDE)
     os.rename(target, aside)
-    os.rename(built, target)
-    shutil.rmtree(aside)
+    try:
+        os.rename(built, target)
+    except OSError:
+        os.rename(aside, target)
+        raise
+    shutil.rmtree(aside, ignore_errors=True)
 
 
 @contextmanager
@@ -82,7 +93,7 @@ def building(target: str | Path, durable: bool = True) -> Iterator[Path]:
     `durable` flushes the files first. Raises DataError, which names the folder, when it cannot be made; whatever the
     block raises passes through after the half-built folder is removed and the old one left as it was.
     """
-    target = Path(os.path.abspath(target))
+    target = Path(os.path.realpath(target))  # a link to a folder stays a link, and what it points to is replaced
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
         _sweep(target)

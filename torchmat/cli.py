@@ -70,9 +70,11 @@ class Fit:
 
     def run(self) -> None:
         from torchmat.fit import fit, load_config
+        from torchmat.material_io import check_target
         from torchmat.report import write_fit
         from torchmat.report.tables import error_table, summary_table
 
+        check_target(self.out)  # before the work, not after it
         config = load_config(self.config, self.set)
         btf = self.read.load(self.data, config.data)
         result = fit(btf, config)
@@ -140,9 +142,11 @@ class Compare:
     read: Annotated[DataArguments, tyro.conf.arg(name="")] = field(default_factory=DataArguments)
 
     def run(self) -> None:
-        from torchmat.report.compare import DEFAULT_MODELS, compare, write_comparison
+        from torchmat.report.compare import DEFAULT_MODELS, check_target, compare, write_comparison
         from torchmat.report.tables import comparison_table
 
+        if self.out is not None:
+            check_target(self.out)
         btf = self.read.load(self.data)
         rows = compare(
             btf, self.models or DEFAULT_MODELS, holdout=self.holdout, holdout_by=self.holdout_by, seed=self.seed

@@ -27,7 +27,11 @@ def to_polar(direction: Tensor, dim: int = -1) -> tuple[Tensor, Tensor]:
     """Return (polar, azimuth) in radians of unit directions; azimuth in [0, 2 pi), 0 at the pole."""
     x, y, z = direction.unbind(dim)
     polar = torch.atan2(safe.sqrt(x * x + y * y), z)
-    azimuth = torch.atan2(y, x)
+    # Brought to size 1 first: the derivative of atan2 divides by x^2 + y^2, which underflows near the pole.
+    size = torch.maximum(x.abs(), y.abs()).detach()
+    at_pole = size < torch.finfo(size.dtype).tiny
+    azimuth = torch.atan2(safe.divide(y, size), torch.where(at_pole, torch.ones_like(x), safe.divide(x, size)))
+    azimuth = torch.where(at_pole, torch.zeros_like(azimuth), azimuth)
     full_turn = 2 * torch.pi
     azimuth = torch.where(azimuth < 0, azimuth + full_turn, azimuth)
     # -1e-9 + 2 pi rounds to 2 pi in float32, which is azimuth 0 again.

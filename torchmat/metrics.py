@@ -10,8 +10,8 @@ Predictions and targets are linear RGB planes [k, 3, H, W] in the package's valu
 - `ssim`: kornia's, window 11, on the sRGB-encoded images; None below 6 texels on a side, where it is not defined.
 - `delta_e`: mean CIEDE2000.
 
-Invalid samples count nowhere. Where a target is clipped the truth is only known to be at least that bright, so a
-prediction above it is no error, one below is.
+Invalid samples count nowhere; windows of SSIM that reach over them see black in both images. Where a target is
+clipped the truth is only known to be at least that bright, so a prediction above it is no error, one below is.
 """
 
 from __future__ import annotations
@@ -31,6 +31,8 @@ _SSIM_WINDOW = 11
 
 def psnr(mean_squared_error: float) -> float:
     """Return the peak signal-to-noise ratio in dB for peak 1, capped at 200."""
+    if math.isnan(mean_squared_error):
+        return math.nan  # max and min would make the cap of it
     return min(_CAP_DB, -10 * math.log10(max(mean_squared_error, 1e-300)))
 
 
@@ -61,25 +63,33 @@ class SampleErrors:
     def add(self, prediction: Tensor, target: Tensor, valid: Tensor, clipped: Tensor, perceptual: Tensor) -> None:
         """Add samples: planes [k, 3, H, W], masks [k, 1 or 3, H, W], and which of the k get SSIM and CIEDE2000."""
         prediction = torch.where(clipped, torch.minimum(prediction, target), prediction)
-        prediction, target = prediction * valid, target * valid
+        valid = valid.expand_as(target)
+        if not bool(valid.all()):
+            # Chosen, not multiplied: what stands where nothing was measured may be NaN.
+            prediction, target = (torch.where(valid, image, torch.zeros_like(image)) for image in (prediction, target))
         shown, wanted = colour.display(prediction), colour.display(target)
         for found, difference in (
             (self.squared, prediction - target), (self.energy, target), (self.display, shown - wanted),
             (self.log, log_encode(prediction) - log_encode(target)),
         ):
             found.append(difference.square().sum(dim=(1, 2, 3), dtype=torch.float64))
-        self.count.append(3 * valid.sum(dim=(1, 2, 3), dtype=torch.float64))
-        if bool(perceptual.any()):
-            self._add_perceptual(shown[perceptual], wanted[perceptual])
+        self.count.append(valid.sum(dim=(1, 2, 3), dtype=torch.float64))
+        chosen = perceptual & valid.all(dim=1).flatten(1).any(dim=1)
+        if bool(chosen.any()):
+            self._add_perceptual(shown[chosen], wanted[chosen], valid[chosen].all(dim=1))
 
-    def _add_perceptual(self, shown: Tensor, wanted: Tensor) -> None:
+    def _add_perceptual(self, shown: Tensor, wanted: Tensor, valid: Tensor) -> None:
+        def mean(values: Tensor) -> Tensor:
+            inside = torch.where(valid, values, torch.zeros_like(values))
+            return inside.sum(dim=(1, 2), dtype=torch.float64) / valid.sum(dim=(1, 2))
+
         if min(shown.shape[-2:]) > _SSIM_WINDOW // 2:
             from kornia.metrics import ssim
 
             similarity = ssim(shown.float(), wanted.float(), _SSIM_WINDOW)
-            self.ssim.append(similarity.mean(dim=(1, 2, 3), dtype=torch.float64))
+            self.ssim.append(mean(similarity.mean(dim=1)))
         lab = [colour.srgb_to_lab(image) for image in (shown, wanted)]
-        self.delta_e.append(colour.ciede2000(*lab).mean(dim=(1, 2), dtype=torch.float64))
+        self.delta_e.append(mean(colour.ciede2000(*lab)))
 
     def pooled(self, chosen: Tensor | None = None) -> dict[str, float | None]:
         """Return mse, relative_error, psnr_db, psnr_log_db over all samples or the `chosen` (bool)."""

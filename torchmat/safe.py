@@ -1,8 +1,9 @@
-"""Elementary functions whose value and gradient stay finite for every finite input.
+"""Elementary functions whose value and gradient stay finite wherever the true ones fit in the dtype.
 
 A masked-out branch still back-propagates ``0 * inf = nan``, so each function replaces the dangerous input
 before the operation, not the result after it. At a point where the true gradient is infinite or undefined
-the gradient returned is 0.
+the gradient returned is 0. Denormal divisors, lengths and bases count as 0: their reciprocal overflows. What
+overflows for a normal input (1e30 / 1e-30) still does. NaN stays NaN, so that no missing number turns into a dark texel.
 """
 
 from __future__ import annotations
@@ -13,16 +14,16 @@ from torch import Tensor
 
 def sqrt(x: Tensor) -> Tensor:
     """Return the square root of `x`; 0 with gradient 0 for x <= 0."""
-    positive = x > 0
-    return torch.where(positive, torch.sqrt(torch.where(positive, x, torch.ones_like(x))), torch.zeros_like(x))
+    blocked = x <= 0
+    return torch.where(blocked, torch.zeros_like(x), torch.sqrt(torch.where(blocked, torch.ones_like(x), x)))
 
 
 def divide(numerator: Tensor, denominator: Tensor) -> Tensor:
     """Return numerator / denominator; 0 with gradient 0 where the denominator is 0."""
     numerator, denominator = torch.broadcast_tensors(numerator, denominator)
-    usable = denominator != 0
-    quotient = numerator / torch.where(usable, denominator, torch.ones_like(denominator))
-    return torch.where(usable, quotient, torch.zeros_like(quotient))
+    blocked = denominator.abs() < torch.finfo(denominator.dtype).tiny
+    quotient = numerator / torch.where(blocked, torch.ones_like(denominator), denominator)
+    return torch.where(blocked, torch.zeros_like(quotient), quotient)
 
 
 def normalise(vector: Tensor, dim: int = -3) -> Tensor:
@@ -48,9 +49,9 @@ def power(base: Tensor, exponent: Tensor) -> Tensor:
     Negative bases count as 0, as clamped cosines do.
     """
     base, exponent = torch.broadcast_tensors(base, exponent)
-    positive = base > 0
-    logarithm = torch.log(torch.where(positive, base, torch.ones_like(base)))
+    blocked = base < torch.finfo(base.dtype).tiny
+    logarithm = torch.log(torch.where(blocked, torch.ones_like(base), base))
     # exp underflows to 0 for large exponents, where the exact value is below the smallest float anyway.
     value = torch.exp(exponent * logarithm)
     at_zero = torch.where(exponent == 0, torch.ones_like(value), torch.zeros_like(value))
-    return torch.where(positive, value, at_zero)
+    return torch.where(blocked, at_zero, value)

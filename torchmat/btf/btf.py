@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import mmap
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
@@ -12,40 +11,13 @@ import torch
 from torch import Tensor
 
 from torchmat.btf.decode import Decoder
+from torchmat.btf.store import CLIPPED, INVALID, PixelStore, summarise
 from torchmat.errors import RangeError, ShapeError, check_finite, check_unit, message
 
-# Flag codes of a sample. Zero means valid, so that an untouched (sparse) file of flags means "all valid".
-VALID, CLIPPED, INVALID = 0, 1, 2
 # Little, so that unclipped samples decide where there are any; not 0, or a texel clipped throughout would turn black.
 CLIPPED_WEIGHT = 0.05
-_RELEASE_BYTES = 256_000_000  # a smaller store stays mapped: faulting its pages in again costs more than it saves
 BLOCK_VALUES = 8_000_000  # values of one decoded block: 32 MB in float32, small beside any BTF worth streaming
 _DIRECTION_DECIMALS = 4  # directions closer than about 1e-4 (0.006 degrees) are one direction
-
-
-@dataclass
-class PixelStore:
-    """The stored codes of all images, in memory or mapped from a file.
-
-    `pixels` [sample, 3, H, W] in any decodable type; `flags` [sample, H, W] uint8 of VALID, CLIPPED, INVALID, or None
-    when every sample is valid; `clipped` and `invalid` [sample] count the flagged texels of each image; `low` and
-    `high` [sample] are the smallest and largest code.
-    """
-
-    pixels: np.ndarray
-    flags: np.ndarray | None
-    clipped: np.ndarray
-    invalid: np.ndarray
-    low: np.ndarray
-    high: np.ndarray
-
-    def release(self) -> None:
-        """Drop mapped pages from memory, so that a pass over a large file leaves no trace in the process."""
-        for array in (self.pixels, self.flags):
-            mapped = getattr(array, "_mmap", None)
-            large = mapped is not None and array.nbytes > _RELEASE_BYTES
-            if large and hasattr(mmap, "MADV_DONTNEED"):
-                mapped.madvise(mmap.MADV_DONTNEED)
 
 
 class Block(NamedTuple):
@@ -74,11 +46,27 @@ class Source:
 def unique_directions(directions: Tensor) -> tuple[Tensor, Tensor]:
     """Return the distinct rows of [n, 3] unit vectors, from the pole outward, and each row's index among them."""
     rounded = torch.round(directions.double(), decimals=_DIRECTION_DECIMALS) + 0.0  # + 0.0 turns -0.0 into 0.0
-    keys = torch.stack((-rounded[:, 2], torch.atan2(rounded[:, 1], rounded[:, 0]), rounded[:, 0]), dim=1)
+    x, y, z = rounded.unbind(1)
+    keys = torch.stack((-z, torch.atan2(y, x), x, y), dim=1)
     distinct, inverse = torch.unique(keys, dim=0, return_inverse=True)
     first = torch.full((len(distinct),), len(directions), dtype=torch.long)
     first.scatter_reduce_(0, inverse, torch.arange(len(directions)), reduce="amin")
     return directions[first], inverse
+
+
+def _switched_off(where: str, weight: Tensor, shape: tuple[int, int, int]) -> Tensor:
+    """Return where a 0/1 `weight` is 0, bool [sample, H, W]."""
+    count, height, width = shape
+    if weight.shape not in (shape, (count, 1, height, width)):
+        fact = f"it is {tuple(weight.shape)}"
+        step = "Give one value for each texel of each image."
+        raise ShapeError(message(where, "weight", f"be [{count}, 1, {height}, {width}]", fact, step))
+    off = weight.reshape(shape) == 0
+    other = int((~off & (weight.reshape(shape) != 1)).sum())
+    if other:
+        step = "Compare it with a threshold first."
+        raise RangeError(message(where, "weight", "be boolean or 0/1", f"{other} values are neither", step))
+    return off
 
 
 class Btf:
@@ -104,9 +92,9 @@ class Btf:
         self.view = view
         self.source = source or Source()
         self.clipped_weight = clipped_weight
+        self._validate()
         self.lights, self.light_index = unique_directions(light)
         self.views, self.view_index = unique_directions(view)
-        self._validate()
 
     def _validate(self) -> None:
         where, count = self.source.path, len(self._store.pixels)
@@ -116,14 +104,15 @@ class Btf:
         for name, direction in (("light", self.light), ("view", self.view)):
             if direction.shape != (count, 3):
                 fact = f"there are {count} images and {name} is {tuple(direction.shape)}"
-                raise ShapeError(message(where, name, "be [sample, 3]", fact))
+                raise ShapeError(message(where, name, "be [sample, 3]", fact, "Give one direction for each image."))
             check_unit(where, name, direction, "Divide each by its length.")
         below = self.view[:, 2] <= 0
         if bool(below.any()):
             fact = f"{int(below.sum())} of {count} views have z <= 0, first at sample {int(below.nonzero()[0, 0])}"
             raise RangeError(message(where, "view", "lie above the surface", fact, "Remove those images."))
         if not 0 <= self.clipped_weight <= 1:
-            raise RangeError(message(where, "clipped_weight", "lie in [0, 1]", f"it is {self.clipped_weight}"))
+            step = "0 leaves clipped samples out, 1 trusts them."
+            raise RangeError(message(where, "clipped_weight", "lie in [0, 1]", f"it is {self.clipped_weight}", step))
 
     @classmethod
     def from_tensors(
@@ -132,38 +121,37 @@ class Btf:
     ) -> Btf:
         """Build a Btf from linear images [sample, 3, H, W] and unit directions [sample, 3].
 
-        `weight` [sample, 1, H, W] or [sample, H, W], boolean or 0/1, marks the samples that count; where it is 0 the
-        image may hold anything, NaN included. Raises ShapeError, RangeError (not finite, not unit, view below).
+        Images are floating point, and used as they are where they are float32 or float64 (not copied). `weight`
+        [sample, 1, H, W] or [sample, H, W], boolean or 0/1, marks the samples that count; where it is 0 the image may
+        hold anything, NaN included. Raises ShapeError, RangeError (codes, not finite, not unit, view below).
         """
-        images = torch.as_tensor(images)
-        light, view = torch.as_tensor(light), torch.as_tensor(view)
+        where = "Btf.from_tensors"
+        images, light, view = (torch.as_tensor(value).detach() for value in (images, light, view))
         if images.ndim != 4 or images.shape[1] != 3 or 0 in images.shape:
             fact = f"their shape is {tuple(images.shape)}"
-            raise ShapeError(message("Btf.from_tensors", "images", "be [sample, 3, H, W] with no dimension of 0", fact))
-        images = images.double() if images.dtype == torch.float64 else images.float()
+            step = "Put the three colours on dimension 1."
+            raise ShapeError(message(where, "images", "be [sample, 3, H, W] with no dimension of 0", fact, step))
+        if not images.is_floating_point():
+            step = "Decode the codes to linear light first, or load the files with load_btf."
+            raise RangeError(message(where, "images", "be floating point", f"they are {images.dtype}", step))
+        dtype = torch.float64 if images.dtype == torch.float64 else torch.float32
+        images = images.to(dtype)
         count, _, height, width = images.shape
         flags = np.zeros((count, height, width), dtype=np.uint8)
         if weight is not None:
-            weight = torch.as_tensor(weight)
-            if weight.numel() != flags.size:
-                fact = f"it is {tuple(weight.shape)} for images {tuple(images.shape)}"
-                raise ShapeError(message("Btf.from_tensors", "weight", "be [sample, 1, H, W]", fact))
-            off = weight.reshape(flags.shape) == 0
+            off = _switched_off(where, torch.as_tensor(weight).detach(), flags.shape)
             flags[off.numpy()] = INVALID
-            images = torch.where(off[:, None], torch.zeros((), dtype=images.dtype), images)
-        step = "Repair those values, or give them weight 0."
-        check_finite("Btf.from_tensors", "images", images, step)
+            images = torch.where(off[:, None], torch.zeros((), dtype=dtype), images)
+        check_finite(where, "images", images, "Repair those values, or give them weight 0.")
         pixels = images.contiguous().numpy()
-        store = summarise(pixels, flags)
-        dtype = images.dtype
-        return cls(store, light.to(dtype), view.to(dtype), Decoder(pixels.dtype, "linear", 1.0))
+        return cls(summarise(pixels, flags), light.to(dtype), view.to(dtype), Decoder(pixels.dtype, "linear", 1.0))
 
     def __len__(self) -> int:
         return len(self._store.pixels)
 
     def __repr__(self) -> str:
-        size = f"{self.height} x {self.width}"
-        return f"Btf({self.source.kind}, {len(self)} samples, {len(self.lights)} lights, {len(self.views)} views, {size})"
+        directions = f"{len(self.lights)} lights, {len(self.views)} views"
+        return f"Btf({self.source.kind}, {len(self)} samples, {directions}, {self.height} x {self.width})"
 
     @property
     def height(self) -> int:
@@ -207,6 +195,20 @@ class Btf:
         low, high = self._decoder.into(ends, torch.empty(2)).tolist()
         return low, high
 
+    def _rows(self, indices: Sequence[int] | Tensor) -> np.ndarray:
+        """Return sample numbers as an array; a boolean mask [sample] stands for the samples that it marks."""
+        chosen = torch.as_tensor(indices)
+        if chosen.dtype == torch.bool:
+            if chosen.shape != (len(self),):
+                fact = f"its shape is {tuple(chosen.shape)}"
+                step = "Give sample numbers, or one truth value for each sample."
+                raise ShapeError(message(self.source.path, "a mask of samples", f"be [{len(self)}]", fact, step))
+            chosen = chosen.nonzero()[:, 0]
+        elif chosen.numel() and chosen.is_floating_point():
+            fact = f"they are {chosen.dtype}"
+            raise RangeError(message(self.source.path, "sample numbers", "be whole", fact, "Convert them to integers."))
+        return np.asarray(chosen.tolist(), dtype=np.int64)
+
     def image(self, index: int) -> Tensor:
         """Return one image [3, H, W], float32, linear."""
         return self.images([index])[0]
@@ -216,28 +218,28 @@ class Btf:
         return self.weights([index])[0]
 
     def images(self, indices: Sequence[int] | Tensor, dtype: torch.dtype = torch.float32) -> Tensor:
-        """Return chosen images [k, 3, H, W], linear."""
-        rows = np.asarray(torch.as_tensor(indices).tolist(), dtype=np.int64)
+        """Return chosen images [k, 3, H, W], linear; `indices` are sample numbers or a mask, bool [sample]."""
+        rows = self._rows(indices)
         codes = np.ascontiguousarray(self._store.pixels[rows])
         return self._decoder.into(codes, torch.empty(codes.shape, dtype=dtype))
 
     def weights(self, indices: Sequence[int] | Tensor) -> Tensor:
         """Return the weights of chosen images [k, 1, H, W] in [0, 1]."""
-        rows = np.asarray(torch.as_tensor(indices).tolist(), dtype=np.int64)
+        rows = self._rows(indices)
         if self._store.flags is None:
             return torch.ones(len(rows), 1, self.height, self.width)
         return self._to_weight(self._store.flags[rows])
 
     def clipped(self, indices: Sequence[int] | Tensor) -> Tensor:
         """Return where chosen images are clipped, bool [k, 1, H, W]."""
-        rows = np.asarray(torch.as_tensor(indices).tolist(), dtype=np.int64)
+        rows = self._rows(indices)
         if self._store.flags is None:
             return torch.zeros(len(rows), 1, self.height, self.width, dtype=torch.bool)
         return torch.from_numpy(self._store.flags[rows] == CLIPPED)[:, None]
 
     def valid(self, indices: Sequence[int] | Tensor) -> Tensor:
         """Return where chosen images hold data, bool [k, 1, H, W]."""
-        rows = np.asarray(torch.as_tensor(indices).tolist(), dtype=np.int64)
+        rows = self._rows(indices)
         if self._store.flags is None:
             return torch.ones(len(rows), 1, self.height, self.width, dtype=torch.bool)
         return torch.from_numpy(self._store.flags[rows] != INVALID)[:, None]
@@ -245,7 +247,9 @@ class Btf:
     @property
     def clip_level(self) -> float:
         """The linear value of a clipped channel; infinite for data that does not clip."""
-        return float("inf") if self._decoder.full_code is None else (1 - 1e-6) / self._decoder.exposure
+        # Averages of clipped codes are stored as floating point, and are still known by their flags.
+        clips = self._decoder.full_code is not None or self._store.clipped.any()
+        return (1 - 1e-6) / self._decoder.exposure if clips else float("inf")
 
     def _to_weight(self, flags: np.ndarray) -> Tensor:
         table = torch.tensor([1.0, self.clipped_weight, 0.0])
@@ -288,11 +292,3 @@ class Btf:
     def _reduced(self) -> np.ndarray:
         """Count, for each sample, the texels whose weight is below 1."""
         return self._store.invalid + (self._store.clipped if self.clipped_weight < 1 else 0)
-
-
-def summarise(pixels: np.ndarray, flags: np.ndarray) -> PixelStore:
-    """Make a PixelStore of codes [sample, 3, H, W] and flags [sample, H, W], with its counts and ranges."""
-    clipped = (flags == CLIPPED).sum(axis=(1, 2))
-    invalid = (flags == INVALID).sum(axis=(1, 2))
-    kept = flags if (clipped.any() or invalid.any()) else None
-    return PixelStore(pixels, kept, clipped, invalid, pixels.min(axis=(1, 2, 3)), pixels.max(axis=(1, 2, 3)))

@@ -6,13 +6,16 @@ images then reads one file in order, and a BTF larger than the memory is no spec
 
 from __future__ import annotations
 
+import dataclasses
 import hashlib
 import json
+import math
 import os
+import re
 import shutil
 import tempfile
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -20,32 +23,18 @@ import numpy as np
 import torch
 
 from torchmat import atomic
-from torchmat.btf.btf import CLIPPED, INVALID, PixelStore
-from torchmat.btf.decode import Decoder, resolve_encoding
-from torchmat.btf.readers import Listing
+from torchmat.btf.listing import Listing
+from torchmat.btf.pixels import Normaliser, PixelOptions, decode_files, read_pixels
 from torchmat.btf.source import Folder, Zip
-from torchmat.errors import DataError, ShapeError, message
-from torchmat.images import read_image
-from torchmat.progress import progress
+from torchmat.btf.store import PixelStore
+from torchmat.errors import DataError, RangeError, message
 
-_FORMAT = 1
+_FORMAT = 2
 _HEADER, _TABLE, _PIXELS, _FLAGS = "header.json", "table.npz", "pixels.raw", "flags.raw"
-_CHUNK = 64  # images that one thread decodes in a go; smaller tasks spend their time in hand-over
+_STORE_NAME = re.compile("[0-9a-f]{24}")
+_SPOT_BYTES = 8_000_000  # of a cached store are held against its table; more would be felt on each load
+_ATTEMPTS = 3
 DEFAULT_LIMIT_GB = 20.0
-
-
-@dataclass(frozen=True)
-class PixelOptions:
-    """What changes the stored pixels, and so belongs to the name of a store.
-
-    `crop` is (top, left, height, width) in texels; `downscale` a whole factor, averaged in linear light; `invalid`
-    says whether NaN or Inf is an "error" or gets weight 0 ("mask").
-    """
-
-    crop: tuple[int, int, int, int] | None = None
-    downscale: int = 1
-    invalid: str = "error"
-    encoding: str = "auto"
 
 
 def cache_folder(cache: bool | str | Path) -> Path | None:
@@ -54,9 +43,27 @@ def cache_folder(cache: bool | str | Path) -> Path | None:
         return None
     if cache is not True:
         return Path(cache)
-    if "TORCHMAT_CACHE" in os.environ:
+    if os.environ.get("TORCHMAT_CACHE"):
         return Path(os.environ["TORCHMAT_CACHE"])
-    return Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "torchmat"
+    if os.environ.get("XDG_CACHE_HOME"):
+        return Path(os.environ["XDG_CACHE_HOME"], "torchmat")
+    try:
+        return Path.home() / ".cache" / "torchmat"
+    except RuntimeError as error:
+        step = "Set TORCHMAT_CACHE to a folder, or turn the cache off (cache=False)."
+        raise DataError(message("load_btf", "the cache folder", "be known", str(error), step)) from error
+
+
+def _limit_bytes() -> float:
+    text = os.environ.get("TORCHMAT_CACHE_GB") or str(DEFAULT_LIMIT_GB)
+    try:
+        limit = float(text)
+    except ValueError:
+        limit = math.nan
+    if not limit >= 0:
+        step = "Set it to the number of gigabytes that decoded BTFs may take."
+        raise RangeError(message("the environment", "TORCHMAT_CACHE_GB", "be a number >= 0", f"it is {text!r}", step))
+    return limit * 1e9
 
 
 def store_name(path: Path, options: object) -> str:
@@ -65,117 +72,20 @@ def store_name(path: Path, options: object) -> str:
     return hashlib.sha256(key.encode("utf-8", "surrogateescape")).hexdigest()[:24]
 
 
-class _Normaliser:
-    """Brings one decoded file to codes [3, H, W] and flags [H, W], and refuses what does not fit the others."""
-
-    def __init__(self, first: np.ndarray, options: PixelOptions, where: str) -> None:
-        self.shape, self.dtype = first.shape, first.dtype
-        self.options = options
-        self.decoder = Decoder(first.dtype, resolve_encoding(options.encoding, first.dtype), 1.0)
-        height, width = first.shape[:2]
-        self.window = self._window(height, width, where)
-        rows, columns = (axis.stop - axis.start for axis in self.window)
-        factor = options.downscale
-        if not 1 <= factor <= min(rows, columns):
-            fact = f"it is {factor} for {rows} x {columns} texels"
-            raise ShapeError(message(where, "downscale", "be a whole number that leaves a texel", fact))
-        self.out_shape = (3, rows // factor, columns // factor)
-        self.out_dtype = np.dtype(np.float32) if factor > 1 else first.dtype
-
-    def _window(self, height: int, width: int, where: str) -> tuple[slice, slice]:
-        if self.options.crop is None:
-            return slice(0, height), slice(0, width)
-        top, left, rows, columns = self.options.crop
-        if top < 0 or left < 0 or rows < 1 or columns < 1 or top + rows > height or left + columns > width:
-            fact = f"it is {self.options.crop} (top, left, height, width) for {height} x {width}"
-            raise ShapeError(message(where, "crop", "lie inside the images", fact))
-        return slice(top, top + rows), slice(left, left + columns)
-
-    def __call__(self, pixels: np.ndarray, where: str) -> tuple[np.ndarray, np.ndarray]:
-        if pixels.shape != self.shape or pixels.dtype != self.dtype:
-            fact = f"it is {pixels.shape} {pixels.dtype}, the first image is {self.shape} {self.dtype}"
-            step = "Bring all images to one size, channel count and bit depth."
-            raise ShapeError(message(where, "the image", "match the others", fact, step))
-        pixels = pixels[self.window]
-        colours = pixels.shape[2] - (pixels.shape[2] in (2, 4))  # a second or fourth channel is alpha
-        codes = pixels[..., :colours].transpose(2, 0, 1)
-        codes = np.repeat(codes, 3, axis=0) if colours == 1 else codes[:3]
-        flags = np.zeros(codes.shape[1:], dtype=np.uint8)
-        if self.decoder.full_code is not None:
-            flags[(codes == self.decoder.full_code).any(axis=0)] = CLIPPED
-        else:
-            codes = self._finite(codes, flags, where)
-        if colours < pixels.shape[2]:
-            alpha = pixels[..., colours]
-            flags[alpha < (0.5 if self.decoder.full_code is None else self.decoder.full_code / 2)] = INVALID
-        return self._shrink(codes, flags) if self.options.downscale > 1 else (codes, flags)
-
-    def _finite(self, codes: np.ndarray, flags: np.ndarray, where: str) -> np.ndarray:
-        bad = ~np.isfinite(codes).all(axis=0)
-        if not bad.any():
-            return codes
-        if self.options.invalid == "error":
-            row, column = np.argwhere(bad)[0]
-            fact = f"{int(bad.sum())} texels are NaN or Inf, first at row {row}, column {column}"
-            step = "Repair the image, or pass invalid='mask' to give those texels no weight."
-            raise DataError(message(where, "the image", "be finite", fact, step))
-        flags[bad] = INVALID
-        return np.where(bad, np.zeros((), dtype=codes.dtype), codes)
-
-    def _shrink(self, codes: np.ndarray, flags: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        factor = self.options.downscale
-        _, rows, columns = self.out_shape
-        trimmed = np.ascontiguousarray(codes[:, : rows * factor, : columns * factor])
-        linear = self.decoder.into(trimmed, torch.empty(trimmed.shape)).numpy()
-        mean = linear.reshape(3, rows, factor, columns, factor).mean(axis=(2, 4))
-        worst = flags[: rows * factor, : columns * factor].reshape(rows, factor, columns, factor).max(axis=(1, 3))
-        return mean, worst
-
-
-def _decode(source: Folder | Zip, listing: Listing, folder: Path, options: PixelOptions, show: bool | None) -> None:
-    """Decode every file of `listing` into raw files below `folder`, in parallel threads."""
-
-    def read(name: str) -> np.ndarray:
-        with source.file(name) as path:
-            try:
-                return read_image(path)
-            except DataError as error:
-                # A file from a zip is opened under a scratch name, which would mean nothing to the reader.
-                raise DataError(str(error).replace(str(path), f"{source.path}: {name}")) from error
-
-    normalise = _Normaliser(read(listing.files[0]), options, f"{source.path}: {listing.files[0]}")
-    count = len(listing.files)
-    size = count * int(np.prod(normalise.out_shape)) * normalise.out_dtype.itemsize
-    _require_space(folder, size)
-    pixels = np.memmap(folder / _PIXELS, normalise.out_dtype, "w+", shape=(count, *normalise.out_shape))
-    flags = np.memmap(folder / _FLAGS, np.uint8, "w+", shape=(count, *normalise.out_shape[1:]))
-    table = {name: np.zeros(count, dtype=np.int64) for name in ("clipped", "invalid")}
-    table |= {name: np.zeros(count, dtype=normalise.out_dtype) for name in ("low", "high")}
-
-    def work(first: int) -> int:
-        names = listing.files[first : first + _CHUNK]
-        for row, name in enumerate(names, first):
-            codes, marks = normalise(read(name), f"{source.path}: {name}")
-            pixels[row] = codes
-            if marks.any():  # untouched rows of the flag file stay holes that take no space
-                flags[row] = marks
-            table["clipped"][row], table["invalid"][row] = (marks == CLIPPED).sum(), (marks == INVALID).sum()
-            table["low"][row], table["high"][row] = codes.min(), codes.max()
-        return len(names)
-
-    with ThreadPoolExecutor(max(2, os.cpu_count() or 1)) as pool:
-        starts = range(0, count, _CHUNK)
-        try:
-            for _ in progress(pool.map(work, starts), "decoding", total=len(starts), show=show):
-                pass
-        except BaseException:
-            pool.shutdown(wait=True, cancel_futures=True)
-            raise
+def _write(source: Folder | Zip, listing: Listing, folder: Path, options: PixelOptions, show: bool | None) -> None:
+    """Decode every file of `listing` into a store in `folder`."""
+    first = listing.files[0]
+    normalise = Normaliser(read_pixels(source, first), options, f"{source.path}: {first}")
+    shape = (len(listing.files), *normalise.out_shape)
+    _require_space(folder, math.prod(shape) * normalise.out_dtype.itemsize)
+    pixels = np.memmap(folder / _PIXELS, normalise.out_dtype, "w+", shape=shape)
+    flags = np.memmap(folder / _FLAGS, np.uint8, "w+", shape=(shape[0], *shape[2:]))
+    table = decode_files(source, listing.files, normalise, pixels, flags, show)
     files = np.array(listing.files)
     np.savez(folder / _TABLE, light=listing.light.numpy(), view=listing.view.numpy(), files=files, **table)
     header = {
         "format": _FORMAT, "fingerprint": source.fingerprint, "kind": listing.kind, "source": str(source.path),
-        "shape": [count, *normalise.out_shape], "dtype": normalise.out_dtype.name,
+        "shape": shape, "dtype": normalise.out_dtype.name,
         "linear": options.downscale > 1, "flagged": bool(table["clipped"].any() or table["invalid"].any()),
     }
     (folder / _HEADER).write_text(json.dumps(header))
@@ -200,45 +110,103 @@ class OpenStore:
     from_cache: bool
 
 
-def _open(folder: Path) -> OpenStore:
+def _open(folder: Path, fingerprint: str) -> OpenStore | None:
+    """Map the store in `folder`; return None when it is of another source, of another format or not whole."""
     header = json.loads((folder / _HEADER).read_text())
+    if header["format"] != _FORMAT or header["fingerprint"] != fingerprint:
+        return None
     shape, dtype = tuple(header["shape"]), np.dtype(header["dtype"])
-    with np.load(folder / _TABLE, allow_pickle=False) as table:
+    if (folder / _PIXELS).stat().st_size != math.prod(shape) * dtype.itemsize:
+        return None
+    # Opened here, because np.load leaves a damaged file open.
+    with open(folder / _TABLE, "rb") as stream, np.load(stream, allow_pickle=False) as table:
         arrays = {name: table[name] for name in table.files}
     # Copy-on-write rather than read-only: torch refuses to wrap memory that it may not write to.
     pixels = np.memmap(folder / _PIXELS, dtype, "c", shape=shape)
     flags = np.memmap(folder / _FLAGS, np.uint8, "c", shape=(shape[0], *shape[2:])) if header["flagged"] else None
     store = PixelStore(pixels, flags, arrays["clipped"], arrays["invalid"], arrays["low"], arrays["high"])
+    if any(len(array) != shape[0] for array in arrays.values()) or not _matches_table(store):
+        return None
     light, view = torch.from_numpy(arrays["light"]), torch.from_numpy(arrays["view"])
-    return OpenStore(store, Listing(header["kind"], tuple(arrays["files"].tolist()), light, view), header["linear"], True)
+    listing = Listing(header["kind"], tuple(arrays["files"].tolist()), light, view)
+    return OpenStore(store, listing, header["linear"], True)
+
+
+def _matches_table(store: PixelStore) -> bool:
+    """Compare the ranges of a few images with the table: pages that a power cut lost read as zeros."""
+    count = max(1, min(16, len(store.pixels), _SPOT_BYTES // store.pixels[0].nbytes))
+    rows = np.linspace(len(store.pixels) - 1, 0, count).astype(int)
+    return all(store.pixels[r].min() == store.low[r] and store.pixels[r].max() == store.high[r] for r in rows)
 
 
 def _usable(folder: Path, fingerprint: str) -> OpenStore | None:
     """Open the store in `folder` if it is whole and of this source; a damaged one counts as absent."""
     try:
-        header = json.loads((folder / _HEADER).read_text())
-        if header["format"] != _FORMAT or header["fingerprint"] != fingerprint:
-            return None
-        expected = int(np.prod(header["shape"])) * np.dtype(header["dtype"]).itemsize
-        if (folder / _PIXELS).stat().st_size != expected:
-            return None
-        opened = _open(folder)
-        os.utime(folder)
-        return opened
-    except (OSError, ValueError, KeyError, TypeError, EOFError):
+        opened = _open(folder, fingerprint)
+    except Exception:  # whatever the damage, the store can be made again; a real trouble shows up then
         return None
+    with suppress(OSError):  # a cache that may only be read is a cache all the same
+        os.utime(folder)
+    return opened
 
 
-def _prune(root: Path, keep: Path) -> None:
-    """Remove the stores used longest ago until the rest is below the limit ($TORCHMAT_CACHE_GB, 20 GB)."""
-    limit = float(os.environ.get("TORCHMAT_CACHE_GB", DEFAULT_LIMIT_GB)) * 1e9
-    stores = [path for path in root.iterdir() if (path / _HEADER).is_file()]
-    sizes = {path: sum(f.stat().st_blocks * 512 for f in path.iterdir()) for path in stores}
-    total = sum(sizes.values())
-    for path in sorted(stores, key=lambda p: p.stat().st_mtime):
+def _size_on_disk(folder: Path) -> int:
+    size = 0
+    for path in folder.iterdir():
+        found = path.stat()
+        size += 512 * getattr(found, "st_blocks", found.st_size // 512)
+    return size
+
+
+def _prune(root: Path, keep: Path, limit: float) -> None:
+    """Remove the stores used longest ago until the rest is below `limit` bytes. Only what is a store is touched."""
+    stores = []
+    for path in root.iterdir():
+        with suppress(OSError):  # another process may be pruning too
+            if _STORE_NAME.fullmatch(path.name) and (path / _HEADER).is_file():
+                stores.append((path.stat().st_mtime_ns, path, _size_on_disk(path)))
+    total = sum(size for _, _, size in stores)
+    for _, path, size in sorted(stores):
         if total > limit and path != keep:
             shutil.rmtree(path, ignore_errors=True)
-            total -= sizes[path]
+            total -= size
+
+
+def _make_uncached(
+    source: Folder | Zip, listing: Listing, options: PixelOptions, show: bool | None
+) -> OpenStore | None:
+    try:
+        folder = Path(tempfile.mkdtemp(prefix="torchmat-store-"))
+    except OSError as error:
+        step = "Set TMPDIR to a folder that can be written to."
+        raise DataError(message(tempfile.gettempdir(), "the folder", "be writable", str(error), step)) from error
+    try:
+        _write(source, listing, folder, options, show)
+        return _open(folder, source.fingerprint)
+    except OSError as error:
+        step = "Free some space there or set TMPDIR to another folder."
+        raise DataError(message(str(folder), "the temporary store", "be written whole", str(error), step)) from error
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)  # the maps stay valid until they are let go
+
+
+def _make(
+    source: Folder | Zip, listing: Listing, target: Path, options: PixelOptions, show: bool | None
+) -> OpenStore | None:
+    """Make the store `target` and open it; return None when something removed it in between."""
+    limit = _limit_bytes()
+    try:
+        with atomic.building(target, durable=False) as folder:
+            _write(source, listing, folder, options, show)
+    except DataError:
+        # Two may make one store at a time; whoever comes second then finds a whole one in its place.
+        found = _usable(target, source.fingerprint)
+        if found is None:
+            raise
+        return found
+    with suppress(OSError):
+        _prune(target.parent, target, limit)
+    return _usable(target, source.fingerprint)
 
 
 def open_store(
@@ -251,21 +219,17 @@ def open_store(
     what it holds. Without a cache the store is an unnamed temporary file that ends with the process.
     """
     root = cache_folder(cache)
-    if root is None:
-        folder = Path(tempfile.mkdtemp(prefix="torchmat-store-"))
-        try:
-            _decode(source, list_files(), folder, options, show)
-            opened = _open(folder)
-        finally:
-            shutil.rmtree(folder, ignore_errors=True)  # the maps stay valid until they are let go
-        return OpenStore(opened.store, opened.listing, opened.linear, False)
-    target = root / store_name(source.path, (key, options))
-    found = _usable(target, source.fingerprint)
+    target = None if root is None else root / store_name(source.path, (key, options))
+    found = None if target is None else _usable(target, source.fingerprint)
     if found is not None:
         return found
     listing = list_files()
-    with atomic.building(target, durable=False) as folder:
-        _decode(source, listing, folder, options, show)
-    _prune(root, target)
-    opened = _open(target)
-    return OpenStore(opened.store, opened.listing, opened.linear, False)
+    for _ in range(_ATTEMPTS):
+        if target is None:
+            made = _make_uncached(source, listing, options, show)
+        else:
+            made = _make(source, listing, target, options, show)
+        if made is not None:
+            return dataclasses.replace(made, from_cache=False)
+    step = "Raise TORCHMAT_CACHE_GB if it makes processes remove each other's stores, or choose another folder."
+    raise DataError(message(str(target), "the store", "stay until it is opened", "it was gone or damaged", step))

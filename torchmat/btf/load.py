@@ -3,20 +3,25 @@
 from __future__ import annotations
 
 import dataclasses
+import operator
 import time
 from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
 import torch
 
-from torchmat.btf.btf import CLIPPED_WEIGHT, Btf, PixelStore, Source, unique_directions
-from torchmat.btf.cache import PixelOptions, open_store
+from torchmat.btf.btf import CLIPPED_WEIGHT, Btf, Source, unique_directions
+from torchmat.btf.cache import open_store
 from torchmat.btf.decode import ENCODINGS, Decoder, resolve_encoding
-from torchmat.btf.readers import Listing, read_listing
+from torchmat.btf.listing import Listing
+from torchmat.btf.pixels import PixelOptions
+from torchmat.btf.readers import read_listing
 from torchmat.btf.source import open_source
+from torchmat.btf.store import PixelStore
 from torchmat.errors import RangeError, check_option, message
 
-_TABLE_SUFFIXES = (".csv", ".lp")
+_KIND_OF_TABLE = {".csv": "manifest", ".lp": "rti"}
 
 
 def load_btf(
@@ -38,13 +43,15 @@ def load_btf(
 ) -> Btf:
     """Load a measured BTF or RTI capture from a folder or a zip.
 
-    `kind` is "ubo2003", "utia", "manifest" or "rti"; None finds it from the names. Values come out linear, divided by
-    `exposure`; `encoding` "auto" reads integer files as sRGB and floating-point files as linear. `crop` is (top, left,
-    height, width) in texels, `downscale` a whole factor averaged in linear light. `lights` and `views` keep only the
+    A path to the ``manifest.csv`` or ``.lp`` file itself means its folder. `kind` is "ubo2003", "utia", "manifest" or
+    "rti"; None finds it from the names. Values come out linear, divided by `exposure`; `encoding` "auto" reads integer
+    files as sRGB and floating-point files as linear. `crop` is (top, left, height, width) in texels, `downscale` a
+    whole factor averaged in linear light (rows and columns left over are dropped). `lights` and `views` keep only the
     directions with those numbers in the order of ``btf.lights``, ``btf.views``. NaN and Inf are an error unless
     `invalid` is "mask" (weight 0); repeated directions are one unless `duplicates` is "keep"; directions that are not
     unit are one unless `normalise`. Samples at the largest 8- or 16-bit code are clipped: they count
-    `clipped_weight` in a fit. `cache` is True (the user's cache folder, or $TORCHMAT_CACHE), a folder, or False.
+    `clipped_weight` in a fit. Where images have alpha, what it covers less than half has weight 0. `cache` is True
+    (the user's cache folder, or $TORCHMAT_CACHE), a folder, or False.
 
     Raises DataError, ShapeError or RangeError, each naming the file.
     """
@@ -53,13 +60,15 @@ def load_btf(
     check_option("load_btf", "invalid", invalid, ("error", "mask"))
     check_option("load_btf", "duplicates", duplicates, ("error", "keep"))
     if not 0 < exposure < float("inf"):
-        raise RangeError(message("load_btf", "exposure", "be positive and finite", f"it is {exposure}"))
+        step = "It divides all values; 1 leaves them."
+        raise RangeError(message("load_btf", "exposure", "be positive and finite", f"it is {exposure}", step))
     path = Path(path)
-    if path.suffix.lower() in _TABLE_SUFFIXES and path.is_file():
-        path = path.parent
+    table = _KIND_OF_TABLE.get(path.suffix.lower())
+    if table is not None and path.is_file():
+        path, kind = path.parent, kind or table
     options = PixelOptions(
-        crop=tuple(int(n) for n in crop) if crop is not None else None,
-        downscale=int(downscale),
+        crop=_crop(crop),
+        downscale=_whole("downscale", downscale),
         invalid=invalid,
         encoding=encoding if downscale > 1 else "auto",  # without averaging the codes are stored as they are
     )
@@ -79,30 +88,58 @@ def load_btf(
     return Btf(store, listing.light.float(), listing.view.float(), decoder, origin, clipped_weight)
 
 
+def _whole(name: str, value: object) -> int:
+    try:
+        if not isinstance(value, bool):
+            return operator.index(value)
+    except TypeError:
+        pass
+    raise RangeError(message("load_btf", name, "be a whole number", f"it is {value!r}", "Give an integer."))
+
+
+def _crop(crop: Sequence[int] | None) -> tuple[int, int, int, int] | None:
+    if crop is None:
+        return None
+    top_left_height_width = tuple(_whole("crop", number) for number in crop)
+    if len(top_left_height_width) != 4:
+        fact = f"it has {len(top_left_height_width)} numbers"
+        raise RangeError(message("load_btf", "crop", "be (top, left, height, width)", fact, "Give four numbers."))
+    return top_left_height_width
+
+
+def _chosen(name: str, wanted: Sequence[int], count: int, where: str) -> list[int]:
+    """Return direction numbers as a list, each from 0 to `count` - 1; at least one."""
+    if not hasattr(wanted, "__len__"):
+        raise RangeError(message(where, name, "be a list of numbers", f"it is {wanted!r}", "Put it in brackets."))
+    numbers = [_whole(name, number) for number in wanted]
+    outside = [number for number in numbers if not 0 <= number < count]
+    if outside or not numbers:
+        fact = f"{outside[0]} is not" if outside else "none is given"
+        step = "Leave the option out to keep all."
+        raise RangeError(message(where, name, f"be numbers from 0 to {count - 1}", fact, step))
+    return numbers
+
+
 def _select(
     listing: Listing, store: PixelStore, lights: Sequence[int] | None, views: Sequence[int] | None, where: str
 ) -> tuple[Listing, PixelStore]:
     keep = torch.ones(len(listing.files), dtype=torch.bool)
     for name, directions, wanted in (("lights", listing.light, lights), ("views", listing.view, views)):
-        if wanted is None:
-            continue
-        distinct, index = unique_directions(directions)
-        outside = [number for number in wanted if not 0 <= number < len(distinct)]
-        if outside or not len(wanted):
-            fact = f"{outside[0]} is not" if outside else "none is given"
-            raise RangeError(message(where, name, f"be numbers from 0 to {len(distinct) - 1}", fact))
-        keep &= torch.isin(index, torch.tensor(list(wanted)))
+        if wanted is not None:
+            distinct, index = unique_directions(directions.float())  # as Btf does, or the numbers might differ
+            keep &= torch.isin(index, torch.tensor(_chosen(name, wanted, len(distinct), where)))
     if bool(keep.all()):
         return listing, store
     if not bool(keep.any()):
-        raise RangeError(message(where, "lights and views", "leave at least one image", "they leave none"))
+        step = "Choose pairs that were measured."
+        raise RangeError(message(where, "lights and views", "leave at least one image", "they leave none", step))
     rows = keep.nonzero()[:, 0].numpy()
     files = tuple(listing.files[row] for row in rows)
     listing = Listing(listing.kind, files, listing.light[keep], listing.view[keep])
     return listing, _take(store, rows)
 
 
-def _take(store: PixelStore, rows) -> PixelStore:
+def _take(store: PixelStore, rows: np.ndarray) -> PixelStore:
     """Pick rows of a store. The codes are copied into memory: a chosen part of a BTF is what one works on at hand."""
     fields = {}
     for field in dataclasses.fields(store):

@@ -4,23 +4,63 @@ from __future__ import annotations
 
 import hashlib
 import os
+import re
 import shutil
+import stat
 import tempfile
 import threading
 import zipfile
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import cached_property
 from pathlib import Path, PurePosixPath
 
 from torchmat.errors import DataError, message
 
 _LARGEST_MEMBER = 2**31  # bytes of one file in a zip; a larger one is no photograph
 _IGNORED_PARTS = ("__MACOSX",)
+_REPACK = "Repack the archive from the original files."
 
 
 def _hidden(name: str) -> bool:
-    parts = PurePosixPath(name).parts
-    return any(part.startswith(".") or part in _IGNORED_PARTS for part in parts)
+    return any(part.startswith(".") or part in _IGNORED_PARTS for part in name.split("/"))
+
+
+def _unlistable(error: OSError) -> None:
+    step = "Check the permissions of the folder."
+    raise DataError(message(str(error.filename), "the folder", "be readable", str(error), step)) from error
+
+
+def _first_visit(folder: str, base: str, seen: set[str]) -> bool:
+    """Tell whether a walk from `base` should enter `folder`: links lead out of it, never back or round in a circle."""
+    real = os.path.realpath(folder)
+    if os.path.islink(folder) and (real + os.sep).startswith(base + os.sep):
+        return False
+    if any((known + os.sep).startswith(real + os.sep) for known in seen):
+        return False
+    seen.add(real)
+    return True
+
+
+def _files_below(path: Path) -> Iterator[tuple[str, tuple[int, int]]]:
+    """Yield (relative name, (size, time)) of the files below `path`; what hides or is no file is left out."""
+    base = os.path.realpath(path)
+    seen = {base}
+    for root, folders, files in os.walk(path, onerror=_unlistable, followlinks=True):
+        folders[:] = [f for f in sorted(folders) if not _hidden(f) and _first_visit(os.path.join(root, f), base, seen)]
+        for file in files:
+            if _hidden(file):
+                continue
+            full = os.path.join(root, file)
+            name = Path(os.path.relpath(full, path)).as_posix()
+            try:
+                found = os.stat(full)
+            except OSError:
+                # A link to nothing stays listed: a sample that cannot be read is an error, not one sample fewer.
+                yield name, (-1, 0)
+                continue
+            if stat.S_ISREG(found.st_mode):
+                yield name, (found.st_size, found.st_mtime_ns)
 
 
 class Folder:
@@ -28,21 +68,18 @@ class Folder:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        stats = {}
-        for root, folders, files in os.walk(path):
-            folders.sort()
-            for file in files:
-                full = Path(root, file)
-                name = full.relative_to(path).as_posix()
-                if not _hidden(name):
-                    stats[name] = full.stat()
-        self.names = sorted(stats)
-        lines = (f"{name}\0{stats[name].st_size}\0{stats[name].st_mtime_ns}" for name in self.names)
+        marks = dict(_files_below(path))
+        self.names = sorted(marks)
+        lines = (f"{name}\0{marks[name][0]}\0{marks[name][1]}" for name in self.names)
         self.fingerprint = hashlib.sha256("\n".join(lines).encode("utf-8", "surrogateescape")).hexdigest()
 
     def read(self, name: str) -> bytes:
-        """Return the content of one file."""
-        return (self.path / name).read_bytes()
+        """Return the content of one file; raises DataError when it cannot be read."""
+        try:
+            return (self.path / name).read_bytes()
+        except OSError as error:
+            step = "Check that it exists and may be read."
+            raise DataError(message(f"{self.path}: {name}", "the file", "be readable", str(error), step)) from error
 
     @contextmanager
     def file(self, name: str) -> Iterator[Path]:
@@ -58,24 +95,35 @@ class Zip:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        stat = path.stat()
-        self.fingerprint = hashlib.sha256(f"{stat.st_size}\0{stat.st_mtime_ns}".encode()).hexdigest()
-        try:
-            self._archive = zipfile.ZipFile(path)
-        except (zipfile.BadZipFile, OSError, NotImplementedError) as error:
-            step = "Check that the download or copy is complete."
-            raise DataError(message(str(path), "the archive", "be a readable zip", str(error), step)) from error
         self._lock = threading.Lock()
+        self._archive: zipfile.ZipFile | None = None
         self._scratch: Path | None = None
-        self._members = {i.filename: i for i in self._archive.infolist() if not i.is_dir() and not _hidden(i.filename)}
-        for info in self._members.values():
-            self._refuse_unsafe(info)
-        self.names = sorted(self._members)
+        found = path.stat()
+        self.fingerprint = hashlib.sha256(f"{found.st_size}\0{found.st_mtime_ns}".encode()).hexdigest()
 
-    def _refuse_unsafe(self, info: zipfile.ZipInfo) -> None:
+    @cached_property
+    def _members(self) -> dict[str, zipfile.ZipInfo]:
+        """The files of the archive. Read when asked for: a BTF that comes from the cache does without."""
+        try:
+            self._archive = zipfile.ZipFile(self.path)
+        except Exception as error:  # zipfile lets struct, Unicode and other errors of a damaged directory through
+            step = "Check that the download or copy is complete."
+            text = message(str(self.path), "the archive", "be a readable zip", _reason(error), step)
+            raise DataError(text) from error
+        # Archives made on Windows may separate folders with a backslash.
+        members = {info.filename.replace("\\", "/"): info for info in self._archive.infolist()}
+        for name, info in members.items():
+            self._refuse_unsafe(name, info)
+        return {name: info for name, info in members.items() if name[-1:] not in ("", "/") and not _hidden(name)}
+
+    @cached_property
+    def names(self) -> list[str]:
+        """The names of the files, sorted; raises DataError when the archive is damaged or unsafe."""
+        return sorted(self._members)
+
+    def _refuse_unsafe(self, name: str, info: zipfile.ZipInfo) -> None:
         where = f"{self.path}: {info.filename}"
-        parts = PurePosixPath(info.filename.replace("\\", "/")).parts
-        if ".." in parts or info.filename.startswith(("/", "\\")) or ":" in parts[0]:
+        if ".." in name.split("/") or name.startswith("/") or re.match("[A-Za-z]:", name):
             step = "Repack the archive with plain relative names."
             raise DataError(message(where, "the name", "stay inside the archive", "it leads outside", step))
         if info.file_size > _LARGEST_MEMBER:
@@ -85,44 +133,56 @@ class Zip:
             raise DataError(message(where, "the file", "not be encrypted", "it is", "Repack without a password."))
 
     def read(self, name: str) -> bytes:
-        """Return the content of one file; raises DataError when it is damaged or larger than the archive says."""
+        """Return the content of one file; raises DataError when it is damaged or not as large as the archive says."""
+        where, stated = f"{self.path}: {name}", self._members[name].file_size
         try:
             with self._lock, self._archive.open(self._members[name]) as stream:
                 # One byte more than promised tells a lie about the size without unpacking all of it.
-                data = stream.read(self._members[name].file_size + 1)
-        except (zipfile.BadZipFile, OSError, EOFError, NotImplementedError, ValueError) as error:
-            step = "Repack the archive from the original files."
-            where = f"{self.path}: {name}"
-            raise DataError(message(where, "the file", "unpack without damage", str(error), step)) from error
-        except Exception as error:  # zlib.error has no public base class beyond Exception
-            where = f"{self.path}: {name}"
-            raise DataError(message(where, "the file", "unpack without damage", str(error))) from error
-        if len(data) != self._members[name].file_size:
-            fact = f"the archive says {self._members[name].file_size} bytes and {len(data)} came"
-            step = "Repack the archive from the original files."
-            raise DataError(message(f"{self.path}: {name}", "the file", "have the stated size", fact, step))
+                data = stream.read(stated + 1)
+        except Exception as error:  # zlib.error, among others, has no base class beyond Exception
+            raise DataError(message(where, "the file", "unpack without damage", _reason(error), _REPACK)) from error
+        if len(data) != stated:
+            fact = f"the archive says {stated} bytes and {len(data)} came"
+            raise DataError(message(where, "the file", "have the stated size", fact, _REPACK))
         return data
+
+    def _unpack(self, name: str) -> Path:
+        data = self.read(name)
+        # The suffix tells OpenImageIO the format; what is no suffix of an image must not shape a path.
+        suffix = PurePosixPath(name).suffix
+        suffix = suffix if re.fullmatch(r"\.\w{1,8}", suffix, re.ASCII) else ""
+        try:
+            with self._lock:
+                if self._scratch is None:
+                    self._scratch = Path(tempfile.mkdtemp(prefix="torchmat-unzip-"))
+            handle, path = tempfile.mkstemp(suffix=suffix, dir=self._scratch)
+            with os.fdopen(handle, "wb") as stream:
+                stream.write(data)
+        except OSError as error:
+            where = f"{self.path}: {name}"
+            step = "Free some space there or set TMPDIR to another folder."
+            raise DataError(message(where, "the file", "fit in the temporary folder", str(error), step)) from error
+        return Path(path)
 
     @contextmanager
     def file(self, name: str) -> Iterator[Path]:
         """Yield a path under which one file can be opened, for the time of the block (OpenImageIO reads no memory)."""
-        data = self.read(name)
-        with self._lock:
-            if self._scratch is None:
-                self._scratch = Path(tempfile.mkdtemp(prefix="torchmat-unzip-"))
-        handle, path = tempfile.mkstemp(suffix=PurePosixPath(name).suffix, dir=self._scratch)
+        path = self._unpack(name)
         try:
-            with os.fdopen(handle, "wb") as stream:
-                stream.write(data)
-            yield Path(path)
+            yield path
         finally:
             os.unlink(path)
 
     def close(self) -> None:
         """Close the archive and remove the scratch folder."""
-        self._archive.close()
+        if self._archive is not None:
+            self._archive.close()
         if self._scratch is not None:
             shutil.rmtree(self._scratch, ignore_errors=True)
+
+
+def _reason(error: Exception) -> str:
+    return (str(error) or type(error).__name__).rstrip(".")
 
 
 def open_source(path: str | Path) -> Folder | Zip:
@@ -132,7 +192,7 @@ def open_source(path: str | Path) -> Folder | Zip:
         return Folder(path)
     if not path.exists():
         raise DataError(message(str(path), "the path", "exist", "there is nothing", "Check the spelling."))
-    if zipfile.is_zipfile(path):
+    if path.suffix.lower() == ".zip" or zipfile.is_zipfile(path):
         return Zip(path)
     if path.suffix.lower() in (".csv", ".lp"):
         step = f"Give its folder instead: {path.parent}."

@@ -20,6 +20,18 @@ class Split(NamedTuple):
     held_out: Tensor
 
 
+def _pairs(btf: Btf) -> Tensor:
+    """Return the number [sample] of each sample's pair of light and view, in the order in which pairs first occur.
+
+    A pair that was measured twice has one number, or its second image would give away the first.
+    """
+    code = btf.light_index * len(btf.views) + btf.view_index
+    _, inverse = torch.unique(code, return_inverse=True)
+    first = torch.full((int(inverse.max()) + 1,), len(btf), dtype=torch.long)
+    first.scatter_reduce_(0, inverse, torch.arange(len(btf)), reduce="amin")
+    return first.argsort().argsort()[inverse]
+
+
 def split_samples(btf: Btf, share: float = 0.2, by: str = "pair", seed: int = 0) -> Split:
     """Hold out `share` of the pairs, of the lights or of the views (`by`), chosen by `seed`.
 
@@ -29,11 +41,12 @@ def split_samples(btf: Btf, share: float = 0.2, by: str = "pair", seed: int = 0)
     where = "split_samples"
     check_option(where, "by", by, HOLDOUT_WAYS)
     if not 0 <= share < 1:
-        raise RangeError(message(where, "share", "lie in [0, 1)", f"it is {share}"))
+        step = "It is the part that is held out; 0.2 is usual."
+        raise RangeError(message(where, "share", "lie in [0, 1)", f"it is {share}", step))
     everything = torch.arange(len(btf))
     if share == 0:
         return Split(everything, everything[:0])
-    group = {"pair": everything, "light": btf.light_index, "view": btf.view_index}[by]
+    group = {"pair": _pairs, "light": lambda data: data.light_index, "view": lambda data: data.view_index}[by](btf)
     count = int(group.max()) + 1
     if count < 2:
         step = "Hold out in another way, or pass holdout=0."

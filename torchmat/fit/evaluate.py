@@ -55,12 +55,14 @@ def evaluate(material: Material, btf: Btf, indices: Tensor, most: int | None = N
 def _bands(errors: SampleErrors, direction: Tensor, which: str) -> list[dict[str, Any]]:
     polar = torch.rad2deg(torch.acos(direction[:, 2].double().clamp(-1, 1)))
     rows = []
-    for low in range(0, 90, BAND_DEG):
+    # Every sample is in one band: 90 degrees in the last above the horizon, lights below it in one of their own.
+    for low, high in [(low, low + BAND_DEG) for low in range(0, 90, BAND_DEG)] + [(90, 180)]:
         # Rounding must not put 45 degrees into the band below: edges are met with a small tolerance.
-        inside = (polar >= low - 1e-3) & ((polar < low + BAND_DEG - 1e-3) | ((low + BAND_DEG == 90) & (polar <= 90)))
+        upper = high + 1e-3 if high >= 90 else high - 1e-3
+        inside = ((polar > low + 1e-3) if low == 90 else (polar >= low - 1e-3)) & (polar < upper)
         if bool(inside.any()):
             rows.append({
-                "angle": which, "from_deg": low, "to_deg": low + BAND_DEG, "samples": int(inside.sum()),
+                "angle": which, "from_deg": low, "to_deg": high, "samples": int(inside.sum()),
                 **errors.pooled(inside),
             })
     return rows

@@ -23,6 +23,7 @@ from torchmat.fit.training import make_training
 from torchmat.models import Material
 
 _TRAIN_SAMPLES = 512  # the training error is measured on at most so many samples, evenly chosen
+_PARTS = ("train", "held_out", "held_out_after_export")
 _PACKAGES = ("torchmat", "torch", "numpy", "kornia", "OpenImageIO", "scikit-learn")
 
 
@@ -52,6 +53,7 @@ def fit(
     holdout_by: str | None = None,
     seed: int | None = None,
     dtype: torch.dtype = torch.float32,
+    measure: bool = True,
     progress: bool | None = None,
     **options: Any,
 ) -> FitResult:
@@ -59,7 +61,8 @@ def fit(
 
     `model` is a name, a FitConfig, or the path of a TOML config. `holdout` is the share of samples held out (0.2),
     `holdout_by` "pair", "light" or "view"; both, `seed` (0) and the model's `options` (named as in the README) override
-    the config's. `dtype` float64 runs the same code in double precision. Deterministic for a seed.
+    the config's. `dtype` float64 runs the same code in double precision. `measure` False leaves the errors out of the
+    report, which takes most of the time of a closed-form fit. Deterministic for a seed.
 
     Raises RangeError for unknown models or options, FitError when the data cannot determine the model.
     """
@@ -73,7 +76,7 @@ def fit(
     with torch.no_grad():
         fitted = FITTERS[config.model](training, **chosen)
     seconds = time.perf_counter() - start
-    report, held_out = _report(btf, fitted.material, split)
+    report, held_out = _report(btf, fitted.material, split) if measure else (dict.fromkeys(_PARTS), None)
     report = {
         "model": config.model, "options": chosen, "samples": len(btf), "texels": btf.height * btf.width,
         "seed": config.seed, "holdout": config.holdout, "holdout_by": config.holdout_by,

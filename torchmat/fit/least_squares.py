@@ -56,6 +56,8 @@ def make_design(matrix: Tensor, used: Tensor, ridge: float = 0.0) -> Design:
     # Directions come in float32; what lies below their rounding is not a column of its own.
     kept = singular > singular.max().clamp(min=1e-300) * 1e-6
     basis, back = left[:, kept], singular[kept, None] * right[kept] * length
+    # The factorisation leaves 1e-17 in the rows of zeros, enough for held-out images to leave their trace.
+    basis = torch.where(used[:, None], basis, torch.zeros((), dtype=torch.float64))
     penalty = ridge * float(matrix.square().sum()) / matrix.shape[1]
     way_back = torch.linalg.pinv(back)
     if penalty > 0:
@@ -90,6 +92,17 @@ def stream_moments(btf: Btf, design: Design, used: Tensor, dtype: torch.dtype = 
     return Moments(product.unflatten(1, (3, btf.height, btf.width)), means)
 
 
+def stream_means(btf: Btf, used: Tensor, texels: Tensor, dtype: torch.dtype = torch.float32) -> Tensor:
+    """Return each used image's mean [sample, 3] over some `texels` (bool [H, W])."""
+    means = torch.zeros(len(btf), 3, dtype=torch.float64)
+    for block in btf.blocks(used, dtype):
+        share = texels.to(dtype) if block.weight is None else texels * block.weight
+        total = share.sum(dim=(-2, -1)).clamp(min=1e-12)
+        mean = (block.images * share).sum(dim=(2, 3)) / total
+        means[block.samples.start : block.samples.stop] = mean.double()
+    return means
+
+
 @dataclass(frozen=True)
 class Deficit:
     """What reduced weights take away from the shared normal equations, for the texels that have any.
@@ -116,12 +129,12 @@ def stream_deficit(btf: Btf, design: Design, used: Tensor, explained: Tensor) ->
     total, touched = None, torch.zeros(texels, dtype=torch.bool)
     for samples, weight in btf.weight_blocks(used):
         rows = slice(samples.start, samples.stop)
-        missing = (1 - weight[:, 0].flatten(1)) * used[rows, None]
+        weight = weight[:, 0].flatten(1)
         if total is None:
             total = torch.zeros(columns.shape[1], texels, dtype=torch.float64)
-        hit = (missing > 0).any(dim=0)
+        hit = ((weight < 1) & used[rows, None]).any(dim=0)
         touched |= hit
-        total[:, hit] += columns[rows].T @ missing[:, hit].double()
+        total[:, hit] += columns[rows].T @ ((1 - weight[:, hit].double()) * used[rows, None])
     if total is None or not bool(touched.any()):
         return None
     where = touched.nonzero()[:, 0]
@@ -158,7 +171,8 @@ def solve_texels(
     deficit = stream_deficit(btf, design, used, explained)
     if deficit is not None:
         # What only clipped samples tell has at most their weight's share of the full information.
-        floor = max(_DETERMINED, btf.clipped_weight if btf.clipped_share > 0 else 0.0)
+        # Weights are float32: all samples clipped must not count as just above it.
+        floor = max(_DETERMINED, btf.clipped_weight * (1 + 1e-5) if btf.clipped_share > 0 else 0.0)
         flat, ranks = coefficients.flatten(2), coverage.flatten()
         for part in torch.arange(len(deficit.texels)).split(_TEXELS):
             texels = deficit.texels[part]
@@ -175,31 +189,34 @@ def _solve_masked(design: Design, deficit: Tensor, right: Tensor, floor: float) 
 
     The rank counts directions with more than `floor` of the full design's information.
 
-    Where that is well conditioned a Cholesky factorisation does; elsewhere the minimum-norm solution is taken in the
-    space of the coefficients, where the norm has its meaning.
+    Where the samples determine all that the design does, the orthonormal basis is solved by Cholesky, whose digits do
+    not suffer from the scale of the columns; elsewhere, and with a penalty, it is solved in the space of the
+    coefficients, where the norm has its meaning.
     """
     normal = torch.eye(design.rank, dtype=torch.float64) - deficit
     values = torch.linalg.eigvalsh(normal)
     rank = (values > floor).sum(dim=1).double()
-    solvable = (values > _DETERMINED).all(dim=1) & (design.rank == design.terms)
-    matrix = design.back.T @ normal @ design.back
-    matrix += design.penalty * torch.eye(design.terms, dtype=torch.float64)
-    right = design.back.T @ right
-    factor, failed = torch.linalg.cholesky_ex(matrix)
-    good = (failed == 0) & (solvable | (design.penalty > 0))
-    solution = torch.zeros_like(right)
+    good = (values > _DETERMINED).all(dim=1) & (design.penalty == 0)
+    solution = right.new_zeros(len(right), design.terms, right.shape[2])
     if bool(good.any()):
-        solution[good] = torch.cholesky_solve(right[good], factor[good])
+        factor = torch.linalg.cholesky(normal[good])
+        solution[good] = design.to_coefficients @ torch.cholesky_solve(right[good], factor)
     if bool((~good).any()):
-        solution[~good] = _minimum_norm(matrix[~good], right[~good])
+        solution[~good] = _in_coefficients(design, normal[~good], right[~good])
     return solution, rank
 
 
-def _minimum_norm(matrix: Tensor, right: Tensor) -> Tensor:
-    """Solve symmetric positive semidefinite systems [t, K, K] for [t, K, 3] with the pseudo-inverse."""
-    scale = matrix.diagonal(dim1=-2, dim2=-1).amax(dim=1).clamp(min=1e-300)
-    values, vectors = torch.linalg.eigh(matrix / scale[:, None, None])
+def _in_coefficients(design: Design, normal: Tensor, right: Tensor) -> Tensor:
+    """Solve texels [t, rank, rank] for coefficients [t, K, 3]: with the penalty, or by the pseudo-inverse without."""
+    matrix = design.back.T @ normal @ design.back
+    right = design.back.T @ right
+    if design.penalty > 0:
+        matrix += design.penalty * torch.eye(design.terms, dtype=torch.float64)
+        return torch.linalg.solve(matrix, right)
+    # Measured against the full design: a texel without samples has rounding errors for a matrix, and no solution.
+    scale = design.back.square().sum(dim=0).max()
+    values, vectors = torch.linalg.eigh(matrix / scale)
     kept = values > 1e-8
     inverse = torch.where(kept, 1 / torch.where(kept, values, 1.0), 0.0)
     turned = vectors.transpose(1, 2) @ right
-    return vectors @ (inverse[..., None] * turned) / scale[:, None, None]
+    return vectors @ (inverse[..., None] * turned) / scale

@@ -7,11 +7,14 @@ its own stop reason.
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 
 import torch
 from torch import Tensor
+from torch.autograd import forward_ad
 
 from torchmat.errors import FitError, check_finite, message
 
@@ -31,11 +34,21 @@ class Solution:
     history: Tensor
 
 
+@cache
+def _load_forward_rules() -> None:
+    """Load torch's rules for forward differentiation, which use what torch itself warns about as deprecated."""
+    with warnings.catch_warnings(), forward_ad.dual_level():
+        warnings.simplefilter("ignore", DeprecationWarning)
+        forward_ad.make_dual(torch.zeros(1), torch.zeros(1))
+
+
 def forward_jacobian(residual: Callable[[Tensor], Tensor]) -> Callable[[Tensor], Tensor]:
     """Return the function that gives d residual / d parameters, [problem, R, P], by forward differentiation.
 
     Problems do not mix, so one tangent serves all of them.
     """
+
+    _load_forward_rules()
 
     def jacobian(parameters: Tensor) -> Tensor:
         tangents = torch.eye(parameters.shape[1], dtype=parameters.dtype)[:, None, :]
@@ -70,6 +83,12 @@ class _State:
         self.growth = torch.full((problems,), 2.0, dtype=parameters.dtype)
         self.scale = torch.zeros_like(parameters)
         self.done = torch.zeros(problems, dtype=torch.bool)
+        self.failed = torch.zeros(problems, dtype=torch.bool)
+
+    def reasons(self) -> tuple[str, ...]:
+        """Name why each problem stopped."""
+        pairs = zip(self.done.tolist(), self.failed.tolist(), strict=True)
+        return tuple(NOT_FINITE if failed else CONVERGED if done else STEP_LIMIT for done, failed in pairs)
 
     def accept(self, better: Tensor, candidate: Tensor, residuals: Tensor, cost: Tensor, gain: Tensor) -> None:
         """Take the steps that lowered the cost; adapt damping by the gain ratio (Nielsen 1999)."""
@@ -89,9 +108,9 @@ def levenberg_marquardt(
 
     Damping scales with the largest curvature met per parameter (Moré 1978), so that units do not matter. A parameter
     at a bound which the gradient pushes outward is held for that step. `jacobian` [problem, R, P], if given, must be
-    that of `residual`. A problem has converged when a step promises
-    or brings less than `tolerance` of its cost or moves by less than `tolerance`, relative. Parameters returned are
-    the best met. Raises FitError when the start itself gives NaN or Inf.
+    that of `residual`. A problem has converged when a step promises or brings less than `tolerance` of its cost or
+    moves by less than `tolerance`, relative; it stops as not finite where the Jacobian is, or where every shorter step
+    gives NaN or Inf. Parameters returned are the best met. Raises FitError when the start itself gives NaN or Inf.
     """
     check_finite("levenberg_marquardt", "start", start)
     low, high = _bounds(start, low, high)
@@ -107,15 +126,16 @@ def levenberg_marquardt(
             break
         _step(residual, jacobian, state, low, high, tolerance)
         history.append(state.cost.clone())
-    reasons = tuple(CONVERGED if done else STEP_LIMIT for done in state.done.tolist())
-    return Solution(state.parameters, state.cost, reasons, torch.stack(history))
+    return Solution(state.parameters, state.cost, state.reasons(), torch.stack(history))
 
 
 def _step(
     residual: Callable[[Tensor], Tensor], jacobian_of: Callable[[Tensor], Tensor], state: _State, low: Tensor,
     high: Tensor, tolerance: float,
 ) -> None:
-    jacobian = torch.nan_to_num(jacobian_of(state.parameters))
+    jacobian = jacobian_of(state.parameters)
+    broken = ~torch.isfinite(jacobian).all(dim=2).all(dim=1)
+    jacobian = torch.where(broken[:, None, None], torch.zeros_like(jacobian), jacobian)
     gradient = torch.einsum("brp,br->bp", jacobian, state.residuals)
     held = ((state.parameters <= low) & (gradient > 0)) | ((state.parameters >= high) & (gradient < 0))
     jacobian = torch.where(held[:, None, :], torch.zeros_like(jacobian), jacobian)
@@ -142,4 +162,5 @@ def _step(
     small_move = (move.abs() <= tolerance * (state.parameters.abs() + tolerance)).all(dim=1)
     stuck = ~better & (state.damping >= 1e14)
     state.accept(better, candidate, residuals, cost, gain)
-    state.done = state.done | (finite & (small_gain | small_move)) | stuck
+    state.failed = state.failed | (~state.done & (broken | (stuck & ~finite)))
+    state.done = state.done | broken | (finite & (small_gain | small_move)) | stuck

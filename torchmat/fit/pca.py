@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 
 import torch
 from torch import Tensor
 
 from torchmat import safe
-from torchmat.errors import FitError, message
+from torchmat.errors import FitError, RangeError, message
 from torchmat.fit.training import Fitted, Training
 from torchmat.models import LocalPca, Pca
 from torchmat.models.angular import projected
@@ -20,8 +21,33 @@ _LLOYD_STEPS = 30
 _RESTARTS = 2
 
 
+@contextmanager
+def _one_thread() -> Iterator[None]:
+    """Compute with one thread: LAPACK's QR and long sums come out in other bits with two, and hardly faster."""
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(threads)
+
+
+def _orthonormal(matrix: Tensor) -> Tensor:
+    with _one_thread():
+        return torch.linalg.qr(matrix).Q
+
+
+def _product(first: Tensor, second: Tensor) -> Tensor:
+    """Return first @ second where the sum runs over a dimension that may be long."""
+    with _one_thread():
+        return first @ second
+
+
 class _Images:
-    """The training images as a matrix, in runs of rows; masked samples hold their texel's mean."""
+    """The training images as a matrix, in runs of rows; samples of weight 0 hold their texel's mean.
+
+    Clipped samples stay as they are: a factorisation has no weights, and the mean would put out their highlights.
+    """
 
     def __init__(self, training: Training) -> None:
         self.training = training
@@ -48,7 +74,7 @@ class _Images:
             used = self.training.used[block.samples.start : block.samples.stop]
             images = block.images
             if block.weight is not None:
-                images = images * block.weight + self._mean * (1 - block.weight)
+                images = torch.where(block.weight > 0, images, self._mean)
             images = images[used]
             yield slice(start, start + len(images)), images
             start += len(images)
@@ -65,9 +91,9 @@ def _range_finder(
 ) -> tuple[Tensor, Tensor]:
     """Return an orthonormal range [rows, r] of a matrix given by its products, and range^T matrix, [r, columns]."""
     probe = torch.randn(columns, rank, generator=generator, dtype=dtype)
-    found = torch.linalg.qr(times(probe)).Q
+    found = _orthonormal(times(probe))
     for _ in range(_POWER_STEPS - 1):
-        found = torch.linalg.qr(times(torch.linalg.qr(transposed(found)).Q)).Q
+        found = _orthonormal(times(_orthonormal(transposed(found))))
     return found, transposed(found).T
 
 
@@ -79,32 +105,40 @@ def fit_pca(training: Training, *, components: int = 16, storage: str = "half") 
     width = 3 * images.texels
 
     def times(right: Tensor) -> Tensor:
-        return torch.cat([part.flatten(1) @ right for _, part in images.runs()])
+        return torch.cat([_product(part.flatten(1), right) for _, part in images.runs()])
 
     def transposed(left: Tensor) -> Tensor:
         total = torch.zeros(width, left.shape[1], dtype=left.dtype)
         for rows, part in images.runs():
-            total.addmm_(part.flatten(1).T, left[rows])
+            with _one_thread():
+                total.addmm_(part.flatten(1).T, left[rows])
         return total
 
     rank = min(components + _OVERSAMPLING, count, width)
     generator = torch.Generator().manual_seed(training.seed)
     found, rest = _range_finder(times, transposed, width, rank, generator, training.dtype)
-    # The small factor [rank, 3 texels] is decomposed through its Gram matrix: exact enough for its leading part.
-    left, singular, right = _thin_svd(rest)
-    factors = (found @ left[:, :components]) * singular[:components]
+    leading = _leading(rest, components)
+    # Images are projected, not taken from the SVD: a dark texel beside a highlight of 1e6 times keeps its digits.
     maps = {
-        "component": right[:components].reshape(3 * components, training.btf.height, training.btf.width),
-        "weight": factors.T[:, None].contiguous(), "directions": _directions(training, images.rows),
+        "component": _product(leading.T, rest).reshape(-1, training.btf.height, training.btf.width),
+        "weight": _product(found, leading).T[:, None].contiguous(), "directions": _directions(training, images.rows),
     }
     return Fitted(_balanced(Pca, maps, ("component", "weight"), components=components, storage=storage))
 
 
+def _leading(matrix: Tensor, count: int) -> Tensor:
+    """Return the leading left singular vectors [r, count] of a wide matrix [r, n], by QR of its transpose."""
+    with _one_thread():
+        triangle = torch.linalg.qr(matrix.T, mode="r").R
+        return torch.linalg.svd(triangle.T.double()).U[:, :count].to(matrix.dtype)
+
+
 def _thin_svd(matrix: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """Return the SVD of a wide matrix [r, n], n >> r, by QR of its transpose."""
-    q, r = torch.linalg.qr(matrix.T)
-    u, singular, v = torch.linalg.svd(r.T.double())
-    return u.to(matrix.dtype), singular.to(matrix.dtype), (v.to(matrix.dtype) @ q.T)
+    with _one_thread():
+        q, r = torch.linalg.qr(matrix.T)
+        u, singular, v = torch.linalg.svd(r.T.double())
+        return u.to(matrix.dtype), singular.to(matrix.dtype), (v.to(matrix.dtype) @ q.T)
 
 
 def _balanced(kind, maps: dict[str, Tensor], pair: tuple[str, str], **options) -> Pca:
@@ -123,6 +157,8 @@ def _directions(training: Training, rows: Tensor) -> Tensor:
 
 
 def _require(name: str, value: int, most: int) -> None:
+    if value < 1:
+        raise RangeError(message("fit", name, "be at least 1", f"it is {value}"))
     if value > most:
         step = f"Use at most {most}."
         raise FitError(message("fit", name, "not exceed what the data determines", f"it is {value} of {most}", step))
@@ -145,23 +181,26 @@ def fit_local_pca(
         total = torch.zeros(images.texels, right.shape[1], dtype=right.dtype)
         right = right.unflatten(0, (count, 3))
         for rows, part in images.runs():
-            total.addmm_(part.flatten(0, 1).T, right[rows].flatten(0, 1))
+            with _one_thread():
+                total.addmm_(part.flatten(0, 1).T, right[rows].flatten(0, 1))
         return total
 
     def transposed(left: Tensor) -> Tensor:  # left [texel, r] -> [3 sample, r]
-        return torch.cat([part.flatten(0, 1) @ left for _, part in images.runs()])
+        return torch.cat([_product(part.flatten(0, 1), left) for _, part in images.runs()])
 
     generator = torch.Generator().manual_seed(training.seed)
     rank = min(max(4 * (components + 1), 96), images.texels, 3 * count)
     found, rest = _range_finder(times, transposed, 3 * count, rank, generator, training.dtype)
     left, singular, right = _thin_svd(rest)
-    points = ((found @ left) * singular).double()
-    label, means, bases = _cluster(points, clusters, components, generator)
+    points = (_product(found, left) * singular).double()
+    with _one_thread():
+        label, means, bases = _cluster(points, clusters, components, generator)
     weight = torch.zeros(components, images.texels, dtype=torch.float64)
     for number in range(clusters):
         inside = label == number
         weight[:, inside] = bases[number] @ (points[inside] - means[number]).T
-    tables = torch.cat((means[:, None], bases), dim=1).to(training.dtype) @ right  # [clusters, 1 + components, 3 sample]
+    tables = torch.cat((means[:, None], bases), dim=1).to(training.dtype)
+    tables = _product(tables, right)  # [clusters, 1 + components, 3 sample]
     tables = tables.unflatten(2, (count, 3)).permute(1, 3, 0, 2).flatten(0, 1)
     size = (training.btf.height, training.btf.width)
     maps = {
@@ -197,17 +236,23 @@ def _cluster(
     The first labels come from k-means of the points themselves; then texels move to the cluster whose subspace
     reconstructs them best, until none moves.
     """
-    from sklearn.cluster import KMeans
-
     best = None
     for _ in range(_RESTARTS):
         seed = int(torch.randint(2**31 - 1, (1,), generator=generator))
-        leading = points[:, : min(16, points.shape[1])].numpy()
-        label = torch.from_numpy(KMeans(clusters, n_init=1, random_state=seed).fit(leading).labels_).long()
+        label = _first_labels(points[:, : min(16, points.shape[1])], clusters, seed)
         label, error, means, bases = _lloyd(points, label, clusters, components)
         if best is None or error < best[0]:
             best = (error, label, means, bases)
     return best[1:]
+
+
+def _first_labels(points: Tensor, clusters: int, seed: int) -> Tensor:
+    from sklearn.cluster import KMeans
+    from threadpoolctl import threadpool_limits  # comes with scikit-learn
+
+    # Threads of k-means add their sums in the order in which they finish.
+    with threadpool_limits(1, user_api="openmp"):
+        return torch.from_numpy(KMeans(clusters, n_init=1, random_state=seed).fit(points.numpy()).labels_).long()
 
 
 def _lloyd(points: Tensor, label: Tensor, clusters: int, components: int) -> tuple[Tensor, float, Tensor, Tensor]:

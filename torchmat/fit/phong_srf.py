@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
 
 from torchmat.errors import FitError, RangeError, check_option, message
-from torchmat.fit.least_squares import solve_texels, stream_moments
+from torchmat.fit.least_squares import Moments, solve_texels, stream_means, stream_moments
 from torchmat.fit.levenberg_marquardt import CONVERGED, Solution, levenberg_marquardt
 from torchmat.fit.linear import design_of
 from torchmat.fit.training import Fitted, Training
@@ -20,6 +21,7 @@ from torchmat.models.phong_srf import RESIDUALS
 PHONG_WAYS = ("mean_brdf", "per_light")
 _FEWEST_VIEWS = 3  # per light: seven parameters from nine numbers
 _BRIGHTEST = 4.0
+_OUTLYING, _TRIMMED = 100.0, 50  # so many times brighter than the mean of all but one in 50
 
 
 def fit_phong_srf(
@@ -32,7 +34,9 @@ def fit_phong_srf(
     averages the parameters, exponents as logarithms. (The paper fits each light's reflectance map texel by texel; all
     texels of an image share light and view here, so its sum of squares differs from ours by a constant.) Both errors
     are reported; `per_light` needs three views of a light. One pass over the images serves both steps: the lobe is
-    the same for all texels, so it can be subtracted from the summed products afterwards.
+    the same for all texels, so it can be subtracted from the summed products afterwards. A few texels a hundred times
+    brighter than the rest (an HDR highlight on dark cloth) are left out of the lobe, by a second pass over the images:
+    it would be theirs, and no residual takes it off the other texels again.
 
     `ridge` penalises large residual coefficients. Under one view `half_light` is nearly collinear: coefficients cancel
     each other, which 8-bit textures cannot hold and unseen views do not forgive. 1e-4 costs the flat sample under one
@@ -45,6 +49,9 @@ def fit_phong_srf(
         raise RangeError(message("fit phong_srf", "ridge", "be at least 0", f"it is {ridge}"))
     design = design_of(training, residual, ridge)
     moments = stream_moments(training.btf, design, training.used, training.dtype)
+    common = _common_texels(moments)
+    if not bool(common.all()):
+        moments = replace(moments, means=stream_means(training.btf, training.used, common, training.dtype))
     lobe = LOBES[base]
     ways = _fit_lobe(training, moments.means, lobe)
     if phong not in ways:
@@ -60,8 +67,17 @@ def fit_phong_srf(
     figures = {
         "lobe": material.parameters_by_name,
         "lobe_error_on_mean_brdf": {way: errors.get(way) for way in PHONG_WAYS},
+        "texels_left_out_of_lobe": int((~common).sum()),
     }
     return Fitted(material, reason, solved.coverage, figures)
+
+
+def _common_texels(moments: Moments) -> Tensor:
+    """Return which texels share the material's lobe, bool [H, W]: all, or all but a few far brighter ones."""
+    size = moments.product.double().square().sum(dim=(0, 1)).sqrt()
+    ordered = size.flatten().sort().values
+    rest = ordered[: len(ordered) - len(ordered) // _TRIMMED]
+    return size <= _OUTLYING * rest.mean()
 
 
 def _relative_error(training: Training, means: Tensor, lobe: Lobe, parameters: Tensor) -> float:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import inspect
 from collections.abc import Callable
 
-from torchmat.errors import check_known_keys, check_option
+from torchmat.errors import RangeError, check_known_keys, check_option, message
 from torchmat.fit.linear import fit_hsh, fit_lambert, fit_lptm, fit_ptm, fit_texture
 from torchmat.fit.pca import fit_local_pca, fit_pca
 from torchmat.fit.phong_srf import fit_phong_srf
@@ -34,4 +34,14 @@ def resolve_options(model: str, given: dict[str, object]) -> dict[str, object]:
     """Return all options of `model` with those `given`; raises RangeError, with the nearest name, for unknown ones."""
     defaults = default_options(model)
     check_known_keys(f"fit {model}", given, defaults)
+    for name, value in given.items():
+        _check_kind(f"fit {model}", name, value, type(defaults[name]))
     return {**defaults, **given}
+
+
+def _check_kind(where: str, name: str, value: object, kind: type) -> None:
+    """Raise RangeError unless `value` is of the default's kind; whole numbers serve as numbers, booleans do not."""
+    accepted = (int, float) if kind is float else kind
+    if not isinstance(value, accepted) or (isinstance(value, bool) and kind is not bool):
+        names = {int: "a whole number", float: "a number", str: "a text"}
+        raise RangeError(message(where, name, f"be {names.get(kind, kind.__name__)}", f"it is {value!r}"))

@@ -1,5 +1,5 @@
 """Materials on disk."""
 
-from torchmat.material_io.folder import load_material, save_material
+from torchmat.material_io.folder import check_target, load_material, save_material
 
-__all__ = ["load_material", "save_material"]
+__all__ = ["check_target", "load_material", "save_material"]

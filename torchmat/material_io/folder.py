@@ -17,7 +17,7 @@ import numpy as np
 import torch
 
 from torchmat import atomic
-from torchmat.errors import DataError, TorchmatError, check_option, message
+from torchmat.errors import DataError, TorchmatError, check_finite, check_option, message
 from torchmat.images import read_image, write_image
 from torchmat.models import MATERIALS, Material
 from torchmat.models.storage import STORAGES, Codes, MapSpec, decode, encode
@@ -25,6 +25,7 @@ from torchmat.models.storage import STORAGES, Codes, MapSpec, decode, encode
 FORMAT = "torchmat-material"
 VERSION = 1
 MANIFEST = "manifest.json"
+TRANSFERS = ("linear", "srgb")
 # What may stand in a material folder beside manifest and textures; replacing a folder that holds more is refused.
 COMPANIONS = ("report.json", "report.html", "pictures")
 CONVENTIONS = {
@@ -73,8 +74,9 @@ def write_material(material: Material, folder: Path, provenance: dict[str, Any] 
     (folder / MANIFEST).write_text(json.dumps(manifest, indent=1, ensure_ascii=False), encoding="utf-8")
 
 
-def _refuse_foreign(target: Path) -> None:
+def check_target(target: str | Path) -> None:
     """Raise DataError unless `target` may be replaced: absent, empty, or a material folder and nothing else."""
+    target = Path(target)
     if not target.exists():
         return
     step = "Choose another folder, or move what is there."
@@ -85,8 +87,10 @@ def _refuse_foreign(target: Path) -> None:
         return
     known = {MANIFEST, *COMPANIONS}
     try:
-        manifest = json.loads((target / MANIFEST).read_text(encoding="utf-8"))
-        known |= {entry["file"] for entry in manifest["textures"]} if manifest["format"] == FORMAT else set()
+        manifest = json.loads((target / MANIFEST).read_text(encoding="utf-8-sig"))
+        if manifest["format"] != FORMAT:
+            raise ValueError(manifest["format"])
+        known |= {entry["file"] for entry in manifest["textures"]}
     except (OSError, ValueError, KeyError, TypeError):
         raise DataError(
             message(str(target), "the target", "be empty or a material folder", f"it holds {present[0]!r}", step)
@@ -108,7 +112,7 @@ def save_material(
     Raises DataError when the folder cannot be written, RangeError when a map cannot be stored.
     """
     target = Path(folder)
-    _refuse_foreign(target)
+    check_target(target)
     with atomic.building(target) as building:
         write_material(material, building, provenance)
         if companions is not None:
@@ -123,11 +127,12 @@ def read_manifest(folder: str | Path) -> dict[str, Any]:
         step = "Give the folder that `save_material` or `torchmat fit --out` wrote."
         raise DataError(message(str(path), "the manifest", "exist", "it is not there", step))
     try:
-        manifest = json.loads(path.read_text(encoding="utf-8"))
+        manifest = json.loads(path.read_text(encoding="utf-8-sig"))
         kind, number = manifest["format"], manifest["version"]
-    except (ValueError, KeyError, TypeError) as error:
+    except (OSError, ValueError, KeyError, TypeError) as error:
         step = "Restore the file from the original."
-        raise DataError(message(str(path), "the manifest", "be a torchmat material", str(error), step)) from error
+        fact = f"{type(error).__name__}: {error}"
+        raise DataError(message(str(path), "the manifest", "be a torchmat material", fact, step)) from error
     if kind != FORMAT:
         raise DataError(message(str(path), "format", f"be {FORMAT!r}", f"it is {kind!r}"))
     if number != VERSION:
@@ -146,7 +151,7 @@ def _read_texture(folder: Path, entry: dict[str, Any]) -> torch.Tensor:
     pixels = read_image(path)
     wanted = (entry["height"], entry["width"], entry["channels"])
     if pixels.shape[2] == wanted[2] + 1 and wanted[2] in (1, 3):
-        pixels = pixels[:, :, : wanted[2]]  # paint programs like to add alpha
+        pixels = _without_alpha(path, pixels)
     if pixels.shape != wanted:
         fact = f"it is {pixels.shape[0]} x {pixels.shape[1]} with {pixels.shape[2]} channels"
         step = "Scale the texture back, or export the material again."
@@ -156,7 +161,29 @@ def _read_texture(folder: Path, entry: dict[str, Any]) -> torch.Tensor:
         fact = f"it is {pixels.dtype.name}"
         raise DataError(message(str(path), "the texture", "hold 8- or 16-bit codes", fact, "Save it with that depth."))
     low, high = tuple(entry.get("low", ())), tuple(entry.get("high", ()))
-    return decode(Codes(np.ascontiguousarray(pixels), low, high, entry["transfer"]))
+    if entry["transfer"] not in TRANSFERS or not len(low) == len(high) == (wanted[2] if stored_as_codes else 0):
+        fact = f"it has transfer {entry['transfer']!r}, {len(low)} low and {len(high)} high"
+        requirement = f"have transfer {' or '.join(TRANSFERS)} and a low and high for each of its channels"
+        raise DataError(message(str(folder / MANIFEST), f"the entry of {name}", requirement, fact))
+    texture = decode(Codes(np.ascontiguousarray(pixels), low, high, entry["transfer"]))
+    check_finite(str(path), "the texture", texture, "Correct those texels, or export the material again.")
+    return texture
+
+
+def _without_alpha(path: Path, pixels: np.ndarray) -> np.ndarray:
+    """Drop the alpha that paint programs like to add; what is not opaque has lost its colour to it."""
+    full = np.iinfo(pixels.dtype).max if np.issubdtype(pixels.dtype, np.integer) else 1.0
+    clear = int((pixels[:, :, -1] != full).sum())
+    if clear:
+        fact = f"{clear} of {pixels[:, :, -1].size} texels are not"
+        raise DataError(message(str(path), "alpha", "be opaque", fact, "Flatten the picture or remove its alpha."))
+    return pixels[:, :, :-1]
+
+
+def _culprit(folder: Path, manifest: dict[str, Any], error: TorchmatError) -> str:
+    """Return the texture files of the map that `error` names, or else the manifest."""
+    files = [entry["file"] for entry in manifest["textures"] if f": {entry['map']} must" in str(error)]
+    return str(folder / (", ".join(files) or MANIFEST))
 
 
 def load_material(path: str | Path) -> Material:
@@ -181,7 +208,7 @@ def load_material(path: str | Path) -> Material:
     except DataError:
         raise
     except TorchmatError as error:
-        raise DataError(f"{where}: {error}") from error
+        raise DataError(f"{_culprit(folder, manifest, error)}: {error}") from error
     except (KeyError, TypeError, ValueError, RuntimeError, AttributeError) as error:
         step = "Restore the file from the original."
         fact = f"{type(error).__name__}: {error}"

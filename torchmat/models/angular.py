@@ -33,21 +33,25 @@ def _local_weights(known: Tensor, queries: Tensor) -> tuple[Tensor, Tensor]:
     for axis in range(known.shape[1]):
         squared += (queries[:, axis : axis + 1] - known[:, axis]) ** 2
     distance, index = squared.topk(count, dim=1, largest=False)
-    offset = known[index] - queries[:, None, :]
     scale = distance[:, -1:].clamp(min=1e-12)
     # The square of the inverse distance, falling to 0 at the last neighbour so that none drops out with a jump.
     near = (1 / (distance / scale + 1e-7) ** 1.0) * (1 - 0.999 * distance / scale)
     near = near / near.sum(dim=1, keepdim=True)
-    return index, _plane(near, offset)
+    return index, _plane(near, known[index], queries, scale[..., None])
 
 
-def _plane(near: Tensor, offset: Tensor) -> Tensor:
+def _plane(near: Tensor, points: Tensor, queries: Tensor, scale: Tensor) -> Tensor:
     """Turn mean weights into those of a fitted plane's value at the query: near * (1 - slope correction)."""
-    centre = (near[..., None] * offset).sum(dim=1, keepdim=True)
-    spread = offset - centre
+    # Measured from the first neighbour: a coordinate that all share then has no spread at all, not one of rounding
+    # errors, whose slope would be noise far larger than 1. The second damping meets directions equal but for rounding.
+    first = points[:, :1]
+    offset = points - first
+    mean = (near[..., None] * offset).sum(dim=1, keepdim=True)
+    spread = offset - mean
+    centre = mean + (first - queries[:, None, :])
     moment = torch.einsum("qk,qki,qkj->qij", near, spread, spread)
     trace = moment.diagonal(dim1=-2, dim2=-1).sum(-1)[:, None, None]
-    damped = moment + (_SLOPE_DAMPING * trace + 1e-12) * torch.eye(moment.shape[-1], dtype=moment.dtype)
+    damped = moment + (_SLOPE_DAMPING * trace + 1e-6 * scale) * torch.eye(moment.shape[-1], dtype=moment.dtype)
     slope = torch.linalg.solve(damped, centre.transpose(1, 2))
     return near * (1 - (spread @ slope)[..., 0])
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import math
 from collections.abc import Mapping
 from typing import Any, ClassVar, Self
@@ -10,7 +11,7 @@ import torch
 import torch.nn.functional as functional
 from torch import Tensor, nn
 
-from torchmat.errors import ShapeError, check_known_keys, check_option, message
+from torchmat.errors import RangeError, ShapeError, check_known_keys, check_option, message
 from torchmat.models.storage import STORAGES, MapSpec, check_map, decode, encode
 
 
@@ -29,6 +30,7 @@ class Material(nn.Module):
     def __init__(self, maps: Mapping[str, Tensor], *, storage: str = "half", tiles: bool = True, **options: Any) -> None:
         super().__init__()
         check_option(self.name, "storage", storage, STORAGES)
+        check_known_keys(f"{self.name} options", options, self._option_names())
         self.storage = storage
         self.tiles = tiles
         self.options = options
@@ -38,8 +40,22 @@ class Material(nn.Module):
         if missing:
             fact = f"{', '.join(missing)} is missing"
             raise ShapeError(message(self.name, "maps", f"hold {', '.join(s.name for s in specs)}", fact))
+        for name, value in maps.items():
+            if not isinstance(value, Tensor) or not value.is_floating_point():
+                fact = f"it is {value.dtype if isinstance(value, Tensor) else type(value).__name__}"
+                raise RangeError(message(self.name, name, "be a floating-point tensor", fact))
         self.maps = nn.ParameterDict({spec.name: nn.Parameter(maps[spec.name].detach()) for spec in specs})
         self._check_shapes(specs)
+
+    @classmethod
+    def _option_names(cls) -> list[str]:
+        """Return the keywords that the constructors of the model and its bases take."""
+        found: dict[str, None] = {}
+        for kind in cls.__mro__:
+            if issubclass(kind, Material) and "__init__" in vars(kind):
+                parameters = inspect.signature(kind.__init__).parameters.values()
+                found |= {p.name: None for p in parameters if p.kind is p.KEYWORD_ONLY}
+        return list(found)
 
     def _check_shapes(self, specs: tuple[MapSpec, ...]) -> None:
         size = None
@@ -49,12 +65,19 @@ class Material(nn.Module):
             if value.ndim != dimensions or value.shape[0] != spec.channels or 0 in value.shape:
                 shape = f"[{spec.channels}]" if spec.constant else f"[{spec.channels}, H, W]"
                 raise ShapeError(message(self.name, spec.name, f"be {shape}", f"it is {tuple(value.shape)}"))
+            self._check_dtype(spec.name, value.dtype)
             check_map(self.name, spec, value)
             if spec.per_texel and not spec.constant:
                 size = size or tuple(value.shape[-2:])
                 if tuple(value.shape[-2:]) != size:
                     fact = f"it is {tuple(value.shape[-2:])} and other maps are {size}"
                     raise ShapeError(message(self.name, spec.name, "have the size of the other maps", fact))
+
+    def _check_dtype(self, name: str, dtype: torch.dtype) -> None:
+        wanted = next(iter(self.maps.values())).dtype
+        if dtype != wanted:
+            step = "Convert with .to(dtype); one call has one precision."
+            raise RangeError(message(self.name, name, f"be {wanted} as the maps are", f"it is {dtype}", step))
 
     def specs(self) -> tuple[MapSpec, ...]:
         """Return what each map is."""
@@ -102,6 +125,7 @@ class Material(nn.Module):
                 requirement = f"be [..., 3, 1, 1] or [..., 3, {height}, {width}]"
                 step = "Vectors lie on dimension -3; `at` brings the maps to another size."
                 raise ShapeError(message(f"{self.name}.shade", name, requirement, f"it is {tuple(direction.shape)}", step))
+            self._check_dtype(name, direction.dtype)
 
     def with_maps(self, **maps: Tensor) -> Self:
         """Return a material with some maps replaced."""
@@ -154,14 +178,15 @@ class Material(nn.Module):
         return found
 
     def as_exported(self) -> Self:
-        """Return the material as its textures would bring it back, without writing files.
+        """Return the material, in float32, as its textures would bring it back, without writing files.
 
         Raises RangeError when a map cannot be stored without leaving its range.
         """
         parts: dict[str, list[Tensor]] = {}
         for spec, _, value, storage in self.textures():
             parts.setdefault(spec.name, []).append(decode(encode(spec, value, storage)))
-        return self.with_maps(**{name: torch.cat(pieces) for name, pieces in parts.items()})
+        constants = {spec.name: self.maps[spec.name].float() for spec in self.specs() if spec.constant}
+        return self.with_maps(**constants, **{name: torch.cat(pieces) for name, pieces in parts.items()})
 
     def _stored_bytes(self, per_texel: bool) -> int:
         total = 0

@@ -53,11 +53,8 @@ def _cosine(light: Tensor, view: Tensor) -> Tensor:
 
 
 def _legendre(degree: int, order: int, x: Tensor) -> Tensor:
-    """Associated Legendre polynomial without the Condon-Shortley phase; `x` in [-1, 1]."""
-    sine = safe.sqrt((1 - x) * (1 + x))
+    """Associated Legendre polynomial without the Condon-Shortley phase, over (1 - x^2)^(order / 2)."""
     value = math.prod(range(2 * order - 1, 0, -2)) * torch.ones_like(x)
-    for _ in range(order):
-        value = value * sine
     previous = torch.zeros_like(x)
     for step in range(order + 1, degree + 1):
         value, previous = ((2 * step - 1) * x * value - (step + order - 1) * previous) / (step - order), value
@@ -69,9 +66,10 @@ def _hemispherical(bands: int) -> Callable[[Tensor, Tensor], Tensor]:
 
     def evaluate(light: Tensor, view: Tensor) -> Tensor:
         x, y, z = light.unbind(-3)
-        # cos and sin of m * azimuth from the normalised projection; at the pole they meet a factor of 0.
-        radius = safe.sqrt(x * x + y * y)
-        cosine, sine = safe.divide(x, radius), safe.divide(y, radius)
+        # The factor sqrt(1 - (2z - 1)^2) = 2 sqrt(z (1 - z)) goes with cos and sin of the azimuth, x and y over
+        # sqrt(1 - z^2): together they are smooth at the pole, where each alone is not.
+        shrink = 2 * safe.sqrt(safe.divide(z, 1 + z))
+        cosine, sine = x * shrink, y * shrink
         turns = [(torch.ones_like(x), torch.zeros_like(x))]
         for _ in range(bands - 1):
             c, s = turns[-1]

@@ -74,7 +74,7 @@ class Lptm(Material):
 
     def value(self, light: Tensor, view: Tensor) -> Tensor:
         weights = BASES["polynomial"].evaluate(light, view)
-        return combine(weights, self.maps["luminance"][:, None]).clamp(min=0) * self.maps["chroma"]
+        return combine(weights, self.maps["luminance"][:, None]) * self.maps["chroma"]
 
 
 class Hsh(Material):
@@ -84,7 +84,7 @@ class Hsh(Material):
 
     def __init__(self, maps: Mapping[str, Tensor], *, terms: int = 9, **settings: Any) -> None:
         check_option(self.name, "terms", terms, (4, 9, 16))
-        self._basis = BASES[f"hsh{terms}"]
+        self._basis = BASES[f"hsh{int(terms)}"]
         super().__init__(maps, terms=terms, **settings)
 
     def specs(self) -> tuple[MapSpec, ...]:

@@ -70,19 +70,23 @@ def _ashikhmin_shirley(parameters: Tensor, light: Tensor, view: Tensor) -> Tenso
     diffuse, specular = _column(parameters, 0, 3), _column(parameters, 3, 3)
     along, across = torch.exp(_column(parameters, 6, 1)), torch.exp(_column(parameters, 7, 1))
     axis = _column(parameters, 8, 1)
-    half = frames.half_vector(light, view)
+    total = light + view
+    half = safe.normalise(total)
     x, y, z = half[..., 0:1, :, :], half[..., 1:2, :, :], half[..., 2:3, :, :]
     h_dot_u = x * torch.cos(axis) + y * torch.sin(axis)
     h_dot_v = y * torch.cos(axis) - x * torch.sin(axis)
     # (n_u cos^2 + n_v sin^2) of the azimuth; at the pole both are 0 over 0 and the power of 1 is 1 whatever it says.
     exponent = safe.divide(along * h_dot_u**2 + across * h_dot_v**2, x * x + y * y)
     n_dot_l, n_dot_v = light[..., 2:3, :, :], view[..., 2:3, :, :]
-    h_dot_l = (half * light).sum(dim=-3, keepdim=True)
+    # H.L of unit vectors is |L + V| / 2, which does not cancel where they are nearly opposite at the horizon. The
+    # derivative of a length is its direction, so H is held fixed: through it the way back would overflow there.
+    h_dot_l = (half.detach() * total).sum(dim=-3, keepdim=True) / 2
     fresnel = specular + (1 - specular) * (1 - h_dot_l.clamp(0, 1)) ** 5
     scale = torch.sqrt((along + 1) * (across + 1)) / (8 * math.pi)
-    falloff = safe.divide(torch.ones_like(h_dot_l), h_dot_l * torch.maximum(n_dot_l, n_dot_v))
-    lobe = scale * safe.power(z, exponent) * fresnel * falloff
-    return diffuse * n_dot_l + math.pi * n_dot_l * lobe
+    # (N.L) / (H.L max(N.L, N.V)) as two quotients: near the horizon the product of the denominators underflows.
+    falloff = safe.divide(safe.divide(n_dot_l, torch.maximum(n_dot_l, n_dot_v)), h_dot_l)
+    lobe = (math.pi * scale * safe.power(z, exponent) * falloff) * fresnel
+    return diffuse * n_dot_l + lobe
 
 
 _COLOURS = ("diffuse_r", "diffuse_g", "diffuse_b", "specular_r", "specular_g", "specular_b")

@@ -12,15 +12,23 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from torchmat.errors import RangeError, message
+from torchmat.errors import RangeError, ShapeError, message
 from torchmat.models.angular import neighbour_weights, pairs
 from torchmat.models.base import Material, combine
 from torchmat.models.storage import MapSpec
 
 
 def _positive(where: str, name: str, value: int) -> None:
-    if value < 1:
-        raise RangeError(message(where, name, "be at least 1", f"it is {value}"))
+    if not isinstance(value, int) or value < 1:
+        raise RangeError(message(where, name, "be a whole number of at least 1", f"it is {value!r}"))
+
+
+def _check_table(where: str, maps: Mapping[str, Tensor], name: str, rows: int) -> None:
+    """Raise ShapeError unless table `name` has `rows` rows and a column for each measured direction."""
+    shape, columns = tuple(maps[name].shape[1:]), maps["directions"].shape[-1]
+    if shape != (rows, columns) or maps["directions"].shape[1] != 1:
+        fact = f"it is {shape} and directions are {tuple(maps['directions'].shape[1:])}"
+        raise ShapeError(message(where, name, f"have {rows} rows and a column per row of directions", fact))
 
 
 def _directions_spec() -> MapSpec:
@@ -39,6 +47,7 @@ class Pca(Material):
         _positive(self.name, "components", components)
         self._components = components
         super().__init__(maps, components=components, **settings)
+        _check_table(self.name, self.maps, "weight", 1)
 
     def specs(self) -> tuple[MapSpec, ...]:
         layers = tuple(f"{index:03d}" for index in range(self._components))
@@ -73,6 +82,7 @@ class LocalPca(Material):
             raise RangeError(message(self.name, "clusters", "be at most 256", f"it is {clusters}"))
         self._clusters, self._components = clusters, components
         super().__init__(maps, clusters=clusters, components=components, **settings)
+        _check_table(self.name, self.maps, "reflectance", clusters)
 
     def specs(self) -> tuple[MapSpec, ...]:
         layers = tuple(f"{index:02d}" for index in range(self._components))

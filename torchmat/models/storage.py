@@ -96,12 +96,17 @@ class Codes:
 
 def check_map(where: str, spec: MapSpec, value: Tensor) -> None:
     """Raise RangeError when `value` is not finite or leaves the declared range of `spec`."""
-    check_finite(where, spec.name, value.detach())
+    value = value.detach()
+    check_finite(where, spec.name, value)
+    if spec.index and bool((value != value.round()).any()):
+        fact = f"the first that is not is {float(value[value != value.round()][0]):.6g}"
+        raise RangeError(message(where, spec.name, "hold whole numbers", fact, "It is an index, which cannot be mixed."))
     for bound, outside in ((spec.low, value < (spec.low or 0)), (spec.high, value > (spec.high or 0))):
         if bound is None or not bool(outside.any()):
             continue
         fact = f"{int(outside.sum())} of {value.numel()} values are not, the first is {float(value[outside][0]):.6g}"
-        requirement = f"lie in [{spec.low if spec.low is not None else '-inf'}, {spec.high or 'inf'}]"
+        ends = ["-inf" if spec.low is None else spec.low, "inf" if spec.high is None else spec.high]
+        requirement = f"lie in [{ends[0]}, {ends[1]}]"
         raise RangeError(message(where, spec.name, requirement, fact, "Correct the map; it is never clipped."))
 
 
@@ -124,10 +129,12 @@ def encode(spec: MapSpec, value: Tensor, storage: str) -> Codes:
     if kind.levels is None:
         pixels = planes.permute(1, 2, 0).numpy()
         largest = float(np.abs(pixels).max())
-        if largest > np.finfo(kind.dtype).max:
-            step = "Store this map as float, or divide it by a constant."
-            fact = f"its largest magnitude is {largest:.6g}"
-            raise RangeError(message("export", spec.name, "fit a 16-bit half", fact, step))
+        # As a Python float: NumPy would round `largest` to a half before it compares.
+        most = float(np.finfo(kind.dtype).max)
+        if largest > most:
+            step = "Divide it by a constant." if storage == "float" else "Store this map as float, or divide it by a constant."
+            fact = f"its largest magnitude is {largest:.6g}, above {most:.6g}"
+            raise RangeError(message("export", spec.name, f"fit {kind.dtype}", fact, step))
         return Codes(pixels.astype(kind.dtype))
     low, high = _span(spec, planes)
     transfer = "srgb" if spec.colour and kind.dtype == "uint8" and float(low.min()) >= 0 else "linear"

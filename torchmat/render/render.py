@@ -9,7 +9,7 @@ import torch
 import torch.nn.functional as functional
 from torch import Tensor
 
-from torchmat.errors import RangeError, ShapeError, check_option, check_unit, message
+from torchmat.errors import RangeError, ShapeError, check_option, message
 from torchmat.models import Material
 
 SHAPES = ("patch", "sphere")
@@ -30,8 +30,9 @@ def render(
     material: Material, mesh: str = "sphere", lights: Sequence[Sequence[float]] = (DEFAULT_LIGHT,),
     view: Sequence[float] = (0.0, 0.0, 1.0), size: int = 512, repeat: float = 1.0,
 ) -> Tensor:
-    """Return a linear picture [3, size, size] of the material on a shape, lit by distant `lights`, seen along `view`.
+    """Return a linear picture of the material on a shape, lit by distant `lights`, seen along `view`.
 
+    It is [3, size, size]; of a patch that is not square [3, rows, size], with texels as high as wide.
     `mesh` is "patch" (the flat sample filling the picture, light and view in its tangent frame) or "sphere" (lights in
     the picture's frame: x right, y up, z toward the viewer; `view` must then be that z). `repeat` is how often the
     texture fits across the patch, or around a quarter of the equator. Lights add up; their length does not matter.
@@ -50,7 +51,6 @@ def render(
 
 
 def _patch(material: Material, lights: list[Tensor], view: Tensor, size: int, repeat: float) -> Tensor:
-    check_unit("render", "view", view[None])
     height, width = material.size
     rows = max(1, round(size * height / width))
     u = (torch.arange(size, dtype=view.dtype) + 0.5) / size * repeat

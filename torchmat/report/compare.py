@@ -92,7 +92,9 @@ def _scatter(rows: list[dict[str, Any]], column: str, label: str, path: Path) ->
     return _save(figure, path)
 
 
-def _refuse_foreign(target: Path) -> None:
+def check_target(target: str | Path) -> None:
+    """Raise DataError unless `target` may be replaced: absent, empty, or an earlier comparison and nothing else."""
+    target = Path(target)
     present = sorted(path.name for path in target.iterdir()) if target.is_dir() else []
     foreign = [name for name in present if name not in _FILES]
     if foreign or target.is_file():
@@ -104,7 +106,7 @@ def _refuse_foreign(target: Path) -> None:
 def write_comparison(rows: list[dict[str, Any]], folder: str | Path, title: str = "Comparison of models") -> Path:
     """Write rows as JSON, CSV and one HTML page with plots, whole or not at all; return the folder."""
     target = Path(folder)
-    _refuse_foreign(target)
+    check_target(target)
     with atomic.building(target) as building:
         (building / "comparison.json").write_text(to_json(rows), encoding="utf-8")
         write_csv(rows, building / "comparison.csv")

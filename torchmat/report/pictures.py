@@ -10,6 +10,7 @@ from torch import Tensor
 
 from torchmat import colour
 from torchmat.btf import Btf
+from torchmat.errors import DataError, message
 from torchmat.fit import FitResult, predict
 from torchmat.render import render
 
@@ -30,9 +31,14 @@ def _shown(image: Tensor) -> Any:
 
 
 def _save(figure: Any, path: Path) -> Path:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=DPI, bbox_inches="tight", metadata={"Software": None})
-    _pyplot().close(figure)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        figure.savefig(path, dpi=DPI, bbox_inches="tight", metadata={"Software": None})
+    except (OSError, ValueError) as error:
+        step = "Choose a name that ends in .png, in a folder that can be written to."
+        raise DataError(message(str(path), "the picture", "be writable", str(error), step)) from error
+    finally:
+        _pyplot().close(figure)
     return path
 
 

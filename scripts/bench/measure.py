@@ -1,0 +1,61 @@
+"""What the benchmarks share: repeated timing, the machine's description, results as JSON and as a table."""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+import statistics
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import torch
+
+RESULTS = Path(__file__).with_name("results")
+SHARED = Path(__file__).resolve().parents[3] / "shared" / "data"
+
+
+def timed(run: Callable[[], Any], repeats: int = 5) -> dict[str, float]:
+    """Return median and spread (largest minus smallest) of the seconds of `repeats` runs, after one that warms up."""
+    run()
+    seconds = []
+    for _ in range(repeats):
+        start = time.perf_counter()
+        run()
+        seconds.append(time.perf_counter() - start)
+    return {"seconds": statistics.median(seconds), "spread": max(seconds) - min(seconds), "runs": repeats}
+
+
+def in_fresh_process(code: str, repeats: int = 5) -> list[dict[str, Any]]:
+    """Run Python `code` in a new process `repeats` times; each prints one JSON object on its last line."""
+    found = []
+    for _ in range(repeats):
+        done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+        found.append(json.loads(done.stdout.strip().splitlines()[-1]))
+    return found
+
+
+def median_of(rows: list[dict[str, Any]], key: str) -> dict[str, float]:
+    """Return median and spread of one figure over the rows of `in_fresh_process`."""
+    values = [row[key] for row in rows]
+    return {"seconds": statistics.median(values), "spread": max(values) - min(values), "runs": len(values)}
+
+
+def machine() -> dict[str, Any]:
+    """Describe what the numbers were measured on."""
+    return {
+        "cores": os.cpu_count(), "threads": torch.get_num_threads(), "processor": platform.processor() or platform.machine(),
+        "python": platform.python_version(), "torch": version("torch"), "torchmat": version("torchmat"),
+    }
+
+
+def save(name: str, rows: list[dict[str, Any]]) -> None:
+    """Write the rows of one suite as ``results/NAME.json``."""
+    RESULTS.mkdir(exist_ok=True)
+    text = json.dumps({"machine": machine(), "rows": rows}, indent=1, ensure_ascii=False)
+    (RESULTS / f"{name}.json").write_text(text + "\n", encoding="utf-8")

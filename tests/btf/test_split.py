@@ -1,0 +1,79 @@
+"""Held-out samples."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+
+from torchmat import Btf, RangeError, split_samples
+
+UP, TILTED = [0.0, 0.0, 1.0], [0.6, 0.0, 0.8]
+
+
+@pytest.mark.parametrize("by", ["pair", "light", "view"])
+def test_parts_are_disjoint_ascending_and_cover_all(small_btf, by):
+    split = split_samples(small_btf, 0.3, by, seed=4)
+    assert torch.equal(torch.cat(split).sort().values, torch.arange(484))
+    assert all(bool((part.diff() > 0).all()) for part in split)
+
+
+@pytest.mark.parametrize("by, held_out", [("pair", 97), ("light", 4 * 22), ("view", 4 * 22)])
+def test_share(small_btf, by, held_out):
+    assert len(split_samples(small_btf, 0.2, by).held_out) == held_out  # round(0.2 x 484), round(0.2 x 22) groups
+
+
+@pytest.mark.parametrize("by", ["light", "view"])
+def test_a_held_out_direction_is_never_seen(small_btf, by):
+    index = getattr(small_btf, f"{by}_index")
+    split = split_samples(small_btf, 0.2, by)
+    assert not set(index[split.train].tolist()) & set(index[split.held_out].tolist())
+
+
+def test_a_pair_measured_twice_stays_together():
+    light = torch.tensor([UP, TILTED, UP, TILTED, UP, TILTED])
+    btf = Btf.from_tensors(torch.ones(6, 3, 1, 1), light, torch.tensor([UP]).repeat(6, 1))
+    for seed in range(4):
+        split = split_samples(btf, 0.5, "pair", seed)
+        assert split.held_out.tolist() in ([0, 2, 4], [1, 3, 5])
+
+
+@pytest.mark.parametrize("by", ["pair", "light", "view"])
+def test_a_seed_decides(small_btf, by):
+    first, again, other = (split_samples(small_btf, 0.2, by, seed).held_out for seed in (0, 0, 1))
+    assert torch.equal(first, again)
+    assert not torch.equal(first, other)
+
+
+def test_the_split_of_seed_0_stays_what_it_was(small_btf):
+    assert split_samples(small_btf, 0.01).held_out.tolist() == sorted(
+        torch.randperm(484, generator=torch.Generator().manual_seed(0))[:5].tolist()
+    )
+
+
+@pytest.mark.parametrize("share, held_out", [(1e-9, 1), (0.5, 1), (0.999999, 1)])
+def test_one_is_held_out_and_one_kept(share, held_out):
+    btf = Btf.from_tensors(torch.ones(2, 3, 1, 1), [UP, TILTED], [UP, UP])
+    split = split_samples(btf, share, "light")
+    assert (len(split.train), len(split.held_out)) == (2 - held_out, held_out)
+
+
+def test_share_zero_holds_out_nothing(small_btf):
+    split = split_samples(small_btf, 0.0)
+    assert (len(split.train), len(split.held_out)) == (484, 0)
+
+
+def test_one_view_cannot_be_held_out():
+    btf = Btf.from_tensors(torch.ones(2, 3, 1, 1), [UP, TILTED], [UP, UP])
+    with pytest.raises(RangeError, match="at least two views.*Hold out in another way"):
+        split_samples(btf, 0.2, "view")
+
+
+@pytest.mark.parametrize("share", [-0.1, 1.0, 20, float("nan")])
+def test_share_out_of_range(small_btf, share):
+    with pytest.raises(RangeError, match=r"share must lie in \[0, 1\)"):
+        split_samples(small_btf, share)
+
+
+def test_unknown_way(small_btf):
+    with pytest.raises(RangeError, match="Did you mean 'light'"):
+        split_samples(small_btf, 0.2, "lights")

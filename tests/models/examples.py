@@ -1,0 +1,136 @@
+"""Small random materials of every registered model, for tests that hold for all of them.
+
+A new model is found through `MATERIALS`; it must add example options here, and its tables if texels share any.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+import torch
+from support import all_pairs, assert_close, hemisphere
+
+from torchmat.models import MATERIALS, Material
+from torchmat.models.storage import MapSpec
+
+EXAMPLE_OPTIONS: dict[str, list[dict]] = {
+    "texture": [{}],
+    "lambert": [{}],
+    "ptm": [{}],
+    "lptm": [{}],
+    "hsh": [{"terms": 4}, {"terms": 9}, {"terms": 16}],
+    "phong_srf": [
+        {"residual": residual, "base": base}
+        for residual in ("half", "half_light", "quadratic") for base in ("phong", "ashikhmin_shirley")
+    ],
+    "pca": [{"components": 3}],
+    "local_pca": [{"clusters": 3, "components": 2}],
+}
+LOBES = {
+    "phong": (0.4, 0.3, 0.2, 0.3, 0.2, 0.25, math.log(20.0)),
+    "ashikhmin_shirley": (0.4, 0.3, 0.2, 0.08, 0.1, 0.05, math.log(40.0), math.log(10.0), 0.4),
+}
+_RINGS = ((0, 1), (50, 3))  # 16 pairs: more than the 12 neighbours, and few enough for central differences
+
+# The cases of the contract: (model name, options) of every registered model.
+CASES = [
+    pytest.param(name, options, id="-".join([name, *map(str, options.values())]))
+    for name in MATERIALS for options in EXAMPLE_OPTIONS.get(name, [None])
+]
+
+
+class _Found(Exception):
+    pass
+
+
+def specs_of(name: str, options: dict) -> tuple[MapSpec, ...]:
+    """Return the specs of a model with options, before any map exists."""
+
+    class Asked(MATERIALS[name]):
+        def specs(self):
+            raise _Found(super().specs())
+
+    try:
+        Asked({}, **options)
+    except _Found as found:
+        return found.args[0]
+    raise AssertionError(f"{name} does not ask for its specs")
+
+
+def known_directions() -> torch.Tensor:
+    """Return projected directions [4, 1, n] of a small measurement."""
+    light, view = all_pairs(hemisphere(_RINGS), hemisphere(_RINGS))
+    return torch.from_numpy(np.concatenate((light[:, :2], view[:, :2]), axis=1).T[:, None].copy())
+
+
+def _table(name: str, options: dict, spec: MapSpec) -> torch.Tensor:
+    directions = known_directions()
+    samples = directions.shape[-1]
+    if spec.name == "directions":
+        return directions
+    if (name, spec.name) == ("phong_srf", "lobe"):
+        return torch.tensor(LOBES[options.get("base", "phong")], dtype=torch.float64)
+    if (name, spec.name) == ("pca", "weight"):
+        return torch.rand(spec.channels, 1, samples, dtype=torch.float64)
+    if (name, spec.name) == ("local_pca", "reflectance"):
+        return torch.rand(spec.channels, options["clusters"], samples, dtype=torch.float64)
+    pytest.fail(f"tests/models/examples.py has no example of the shared map {spec.name!r} of model {name!r}")
+
+
+def make_maps(name: str, options: dict | None, height: int = 2, width: int = 3, dtype=torch.float64, seed: int = 0) -> dict:
+    """Return random maps of a model, drawn in float64 so that both precisions see the same numbers."""
+    if options is None:
+        pytest.fail(f"tests/models/examples.py has no example options for model {name!r}")
+    torch.manual_seed(seed)
+    maps = {}
+    for spec in specs_of(name, options):
+        shape = (spec.channels, height, width)
+        if spec.constant or not spec.per_texel:
+            value = _table(name, options, spec)
+        elif spec.index:
+            value = torch.randint(int(spec.low or 0), int(spec.high) + 1, shape).double()
+        elif spec.name == "normal":
+            tilt = torch.rand(2, height, width, dtype=torch.float64) - 0.5
+            value = torch.nn.functional.normalize(torch.cat((tilt, torch.ones_like(tilt[:1]))), dim=0)
+        else:
+            # Mostly positive, so that most of what is shaded is not clamped.
+            low = -0.1 if spec.low is None else spec.low
+            high = 0.4 if spec.high is None else spec.high
+            value = low + (high - low) * torch.rand(shape, dtype=torch.float64)
+        maps[spec.name] = value.to(dtype)
+    return maps
+
+
+def make(
+    name: str, options: dict | None, height: int = 2, width: int = 3, dtype=torch.float64, seed: int = 0, **settings
+) -> Material:
+    """Return a small random material of a model."""
+    maps = make_maps(name, options, height, width, dtype, seed)
+    return MATERIALS[name](maps, **settings, **options)
+
+
+def directions(count: int, dtype=torch.float64, seed: int = 1, lowest: float = 0.1) -> torch.Tensor:
+    """Return random unit directions [count, 3] with z above `lowest`."""
+    random = np.random.default_rng(seed)
+    z = random.uniform(lowest, 1, count)
+    azimuth = random.uniform(0, 2 * np.pi, count)
+    radius = np.sqrt(1 - z * z)
+    rows = np.stack((radius * np.cos(azimuth), radius * np.sin(azimuth), z), axis=1)
+    return torch.from_numpy(rows).to(dtype)
+
+
+def per_image(rows: torch.Tensor) -> torch.Tensor:
+    """Return rows [n, 3] as [n, 3, 1, 1]."""
+    return rows[:, :, None, None]
+
+
+def per_texel(height: int, width: int, dtype=torch.float64, seed: int = 1, lowest: float = 0.1) -> torch.Tensor:
+    """Return random directions [3, H, W]."""
+    return directions(height * width, dtype, seed, lowest).T.reshape(3, height, width).contiguous()
+
+
+def assert_same(actual: torch.Tensor, expected: torch.Tensor, tolerance: float | None = None) -> None:
+    """Compare as `assert_close` does, values that may carry a graph."""
+    assert_close(actual.detach(), expected.detach(), tolerance)

@@ -1,0 +1,76 @@
+"""Imports point one way through the rooms, and the public names are the ones that are listed."""
+
+from __future__ import annotations
+
+import ast
+from pathlib import Path
+
+import torchmat
+
+PACKAGE = Path(torchmat.__file__).parent
+
+# A room may import from rooms of a lower level only, or from itself.
+LEVELS = {
+    "errors": 0, "safe": 0, "colour": 0, "progress": 0, "atomic": 1,
+    "frames": 1, "images": 1, "metrics": 1, "sample": 1,
+    "btf": 2, "geometry": 2, "models": 3, "fit": 4, "render": 4, "material_io": 4, "report": 5, "cli": 6,
+}
+ROOMS_THAT_DO_NOT_MEET = {"fit": {"render", "material_io"}, "render": {"fit", "material_io"}, "material_io": {"fit", "render"}}
+ROOMS_THAT_DO_NOT_MEET["models"] = {"btf"}
+
+PUBLIC = {
+    "Btf", "DataError", "FitConfig", "FitError", "FitResult", "Material", "RangeError", "ShapeError", "TorchmatError",
+    "compare", "evaluate", "fit", "load_btf", "load_config", "load_material", "render", "sample_path", "sample_truth",
+    "save_material", "split_samples",
+}
+
+
+def rooms_imported(path: Path) -> set[str]:
+    """Return the rooms of the package that a module imports, wherever in the module it does."""
+    found = set()
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("torchmat"):
+            parts = node.module.split(".")
+            found |= {parts[1]} if len(parts) > 1 else {alias.name for alias in node.names}
+        if isinstance(node, ast.Import):
+            found |= {alias.name.split(".")[1] for alias in node.names if alias.name.startswith("torchmat.")}
+    return found
+
+
+def upward_edges(package: Path) -> list[str]:
+    """Return a line for each import that points upward or between rooms that do not see each other."""
+    wrong = []
+    for path in sorted(package.rglob("*.py")):
+        room = path.relative_to(package).parts[0].removesuffix(".py")
+        if room == "__init__" or room == "cli":
+            continue
+        for other in rooms_imported(path) - {room}:
+            if other not in LEVELS or room not in LEVELS:
+                wrong.append(f"{path.name}: room {room} or {other} has no level")
+            elif LEVELS[other] > LEVELS[room] or other in ROOMS_THAT_DO_NOT_MEET.get(room, set()):
+                wrong.append(f"{path.relative_to(package)} imports {other}")
+    return wrong
+
+
+def test_imports_point_downward():
+    assert upward_edges(PACKAGE) == []
+
+
+def test_an_upward_import_is_found(tmp_path):
+    (tmp_path / "models").mkdir()
+    (tmp_path / "models" / "bad.py").write_text("from torchmat.btf import Btf\nfrom torchmat.fit.fit import fit\n")
+    assert len(upward_edges(tmp_path)) == 2
+
+
+def test_public_names_are_the_listed_ones():
+    assert set(torchmat.__all__) == PUBLIC
+    assert all(hasattr(torchmat, name) for name in PUBLIC)
+
+
+def test_importing_the_package_leaves_heavy_libraries_alone():
+    import subprocess
+    import sys
+
+    code = "import sys, torchmat; print([m for m in ('matplotlib', 'sklearn', 'kornia', 'OpenImageIO') if m in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"

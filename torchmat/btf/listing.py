@@ -1,0 +1,109 @@
+"""What a reader returns, and what readers share: degrees, text files, and the files that a table means."""
+
+from __future__ import annotations
+
+import unicodedata
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import PurePosixPath
+
+import torch
+from torch import Tensor
+
+from torchmat import frames
+from torchmat.btf.source import Folder, Zip
+from torchmat.errors import DataError, message
+from torchmat.images import IMAGE_SUFFIXES
+
+
+@dataclass(frozen=True)
+class Listing:
+    """Image files with their directions: `files` [n] names, `light` and `view` [n, 3] unit vectors, float64."""
+
+    kind: str
+    files: tuple[str, ...]
+    light: Tensor
+    view: Tensor
+
+
+def is_image(name: str) -> bool:
+    """Tell whether a file is an image, by its suffix."""
+    return PurePosixPath(name).suffix.lower() in IMAGE_SUFFIXES
+
+
+def from_degrees(polar_deg: list[float], azimuth_deg: list[float]) -> Tensor:
+    """Return unit directions [n, 3], float64, of angles in degrees."""
+    polar = torch.deg2rad(torch.tensor(polar_deg, dtype=torch.float64))
+    azimuth = torch.deg2rad(torch.tensor(azimuth_deg, dtype=torch.float64))
+    return frames.from_polar(polar, azimuth)
+
+
+def read_text(source: Folder | Zip, name: str) -> str:
+    """Return a text file in UTF-8 (with or without a byte-order mark) or UTF-16 (with one)."""
+    data = source.read(name)
+    encoding = "utf-16" if data[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig"
+    try:
+        return data.decode(encoding)
+    except UnicodeDecodeError as error:
+        where = f"{source.path}: {name}"
+        raise DataError(message(where, "the text", "be UTF-8", str(error), "Save it as UTF-8.")) from error
+
+
+def the_one(source: Folder | Zip, wanted: Callable[[str], bool], what: str) -> str:
+    """Return the one name that is wanted; the shallowest wins, two at the same depth are an error."""
+    found = sorted(filter(wanted, source.names), key=lambda name: (name.count("/"), name))
+    if not found:
+        step = "Add it, or leave `kind` out to have the kind found."
+        raise DataError(message(str(source.path), what, "be there", "there is none", step))
+    if len(found) > 1 and found[0].count("/") == found[1].count("/"):
+        fact = f"there are {len(found)}: {found[0]}, {found[1]}"
+        raise DataError(message(str(source.path), what, "be the only one", fact, "Keep one, or give its folder."))
+    return found[0]
+
+
+def _folded(name: str) -> str:
+    # macOS takes letters with accents apart, Windows does not tell capitals from small letters.
+    return unicodedata.normalize("NFC", name).casefold()
+
+
+class FileNames:
+    """Finds the file that a table means, whatever slashes, case or folders it was written with."""
+
+    def __init__(self, source: Folder | Zip, table: str) -> None:
+        self._folder = PurePosixPath(table).parent
+        self._exact = set(source.names)
+        self._whole: dict[str, list[str]] = {}
+        self._last: dict[str, list[str]] = {}
+        self._listed_at: dict[str, str] = {}
+        for name in source.names:
+            self._whole.setdefault(_folded(name), []).append(name)
+            self._last.setdefault(_folded(PurePosixPath(name).name), []).append(name)
+
+    def lookup(self, text: str) -> list[str]:
+        """Return the files that `text` may mean: beside the table, from the top, or anywhere by the last part alone."""
+        text = text.replace("\\", "/")
+        ways = (str(self._folder / text), str(PurePosixPath(text)))
+        for name in ways:
+            if name in self._exact:
+                return [name]
+        for name in ways:
+            if _folded(name) in self._whole:
+                return self._whole[_folded(name)]
+        return self._last.get(_folded(PurePosixPath(text).name), [])
+
+    def find(self, where: str, text: str) -> str:
+        """Return the one file that `text` means; raises DataError when it is none, several, or listed before."""
+        found = self.lookup(text)
+        if not found:
+            step = "Put the image there, or correct or remove the line."
+            raise DataError(message(where, f"the file {text!r}", "exist", "it is not there", step))
+        if len(found) > 1:
+            fact = f"it may be {found[0]} or {found[1]}"
+            step = "Write its folder too."
+            raise DataError(message(where, f"the file {text!r}", "be one file", fact, step))
+        if found[0] in self._listed_at:
+            fact = f"{found[0]} also stands at {self._listed_at[found[0]]}"
+            step = "Correct the name, or remove one of the two lines."
+            raise DataError(message(where, f"the file {text!r}", "be listed once", fact, step))
+        self._listed_at[found[0]] = where.rpartition(": ")[2]
+        return found[0]

@@ -1,0 +1,132 @@
+"""``manifest.csv``: one line an image, with its light and view as angles or vectors."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+import re
+from collections.abc import Iterator
+from pathlib import PurePosixPath
+
+import torch
+from torch import Tensor
+
+from torchmat.btf.listing import FileNames, Listing, from_degrees, read_text, the_one
+from torchmat.btf.source import Folder, Zip
+from torchmat.errors import DataError, message
+
+
+def _number(where: str, column: str, text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        step = "Fill in the direction or remove the line."
+        if re.fullmatch(r"[-+]?\d+,\d+", text):
+            step = "Write decimals with a point."
+        raise DataError(message(where, column, "be a finite number", f"it is {text!r}", step))
+    return value
+
+
+class _Columns:
+    """The two or three columns that give one direction, in whichever of the accepted units they come."""
+
+    def __init__(self, where: str, which: str, header: list[str]) -> None:
+        self.which = which
+        choices = {
+            "deg": (f"{which}_polar_deg", f"{which}_azimuth_deg"),
+            "rad": (f"{which}_polar_rad", f"{which}_azimuth_rad"),
+            "xyz": (f"{which}_x", f"{which}_y", f"{which}_z"),
+        }
+        found = [unit for unit, names in choices.items() if all(name in header for name in names)]
+        if len(found) != 1:
+            listed = " or ".join(", ".join(names) for names in choices.values())
+            fact = f"the columns are {', '.join(header) or 'none'}"
+            step = "Add the missing columns." if not found else "Keep one unit only."
+            raise DataError(message(where, f"the {which} direction", f"have the columns {listed}", fact, step))
+        self.unit = found[0]
+        self.names = choices[self.unit]
+
+    def read(self, where: str, row: dict[str, str]) -> list[float]:
+        values = [_number(where, name, row[name]) for name in self.names]
+        if self.unit == "xyz":
+            return values
+        if self.unit == "rad":
+            values = [math.degrees(value) for value in values]
+        if not 0 <= values[0] <= 90 or abs(values[1]) > 720:
+            unit = "degrees" if self.unit == "deg" else "radians"
+            fact = f"it is {row[self.names[0]]}, azimuth {row[self.names[1]]}"
+            step = "Polar is measured from the normal; check the unit."
+            raise DataError(message(where, self.names[0], f"be an angle of 0 to 90 degrees, in {unit}", fact, step))
+        return values
+
+    def directions(self, where: str, values: list[list[float]]) -> Tensor:
+        if self.unit == "xyz":
+            return torch.tensor(values, dtype=torch.float64)
+        polar, azimuth = map(list, zip(*values, strict=True))
+        self._refuse_radians(where, polar, azimuth)
+        return from_degrees(polar, azimuth)
+
+    def _refuse_radians(self, where: str, polar: list[float], azimuth: list[float]) -> None:
+        # Many directions, none beyond 1.6 degrees, azimuths that fill one turn in radians: the unit is wrong.
+        small = max(polar) <= math.pi / 2 + 1e-3 and max(map(abs, azimuth)) <= 2 * math.pi + 1e-3
+        if self.unit == "deg" and small and max(polar) > 0.1 and len(set(azimuth)) > 2:
+            fact = f"the largest polar angle is {max(polar):.4g} and the largest azimuth {max(azimuth):.4g}"
+            step = f"These look like radians: name the columns {self.which}_polar_rad, {self.which}_azimuth_rad."
+            raise DataError(message(where, f"the {self.which} angles", "be in degrees", fact, step))
+
+
+def _lines(where: str, text: str) -> Iterator[tuple[int, list[str]]]:
+    """Yield (line number, cells) of each line that is not blank."""
+    first_line = text.split("\n", 1)[0]
+    delimiter = max(",;\t", key=first_line.count)
+    reader = csv.reader(io.StringIO(text, newline=""), delimiter=delimiter, skipinitialspace=True)
+    try:
+        for cells in reader:
+            cells = [cell.strip() for cell in cells]
+            if any(cells):
+                yield reader.line_num, cells
+    except csv.Error as error:
+        raise DataError(message(where, "the table", "be readable CSV", str(error), "Export it again.")) from error
+
+
+def _table(where: str, text: str) -> tuple[list[str], list[tuple[int, dict[str, str]]]]:
+    """Return the header, in small letters, and (line number, cells by column) of each line below it."""
+    lines = list(_lines(where, text))
+    if len(lines) < 2:
+        step = "List one image a line below a header line."
+        fact = f"it has {len(lines)}"
+        raise DataError(message(where, "the table", "hold a header and at least one line", fact, step))
+    header = [cell.lower() for cell in lines[0][1]]
+    twice = sorted({name for name in header if name and header.count(name) > 1})
+    if twice:
+        step = "Remove or rename one of them."
+        raise DataError(message(where, "the header", "name each column once", f"{twice[0]!r} stands twice", step))
+    for number, cells in lines[1:]:
+        if len(cells) != len(header):
+            fact = f"it has {len(cells)} cells and the header {len(header)}"
+            step = "Fill in the missing cells, or put names that hold the separator in quotes."
+            raise DataError(message(f"{where}: line {number}", "each line", "have a cell per column", fact, step))
+    return header, [(number, dict(zip(header, cells, strict=True))) for number, cells in lines[1:]]
+
+
+def read_manifest(source: Folder | Zip) -> Listing:
+    """Parse ``manifest.csv``: a column `file`, and light and view as polar and azimuth (deg or rad) or x, y, z."""
+    name = the_one(source, lambda n: PurePosixPath(n).name.lower() == "manifest.csv", "manifest.csv")
+    where = f"{source.path}: {name}"
+    header, rows = _table(where, read_text(source, name))
+    if "file" not in header:
+        step = "Name the column with the image files `file`."
+        raise DataError(message(where, "the header", "have a column `file`", f"it has {', '.join(header)}", step))
+    columns = [_Columns(where, which, header) for which in ("light", "view")]
+    known = FileNames(source, name)
+    files, values = [], ([], [])
+    for number, row in rows:
+        line = f"{where}: line {number}"
+        files.append(known.find(line, row["file"]))
+        for column, target in zip(columns, values, strict=True):
+            target.append(column.read(line, row))
+    light, view = (column.directions(where, target) for column, target in zip(columns, values, strict=True))
+    return Listing("manifest", tuple(files), light, view)

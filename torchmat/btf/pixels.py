@@ -1,0 +1,150 @@
+"""From image files to the codes and flags of a store: crop, shrink, flag what is clipped or missing, in threads."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from torchmat.btf.decode import Decoder, resolve_encoding
+from torchmat.btf.source import Folder, Zip
+from torchmat.btf.store import CLIPPED, INVALID
+from torchmat.errors import DataError, ShapeError, message
+from torchmat.images import read_image
+from torchmat.progress import progress
+
+_CHUNK = 64  # images that one thread decodes in a go; smaller tasks spend their time in hand-over
+
+
+@dataclass(frozen=True)
+class PixelOptions:
+    """What changes the stored pixels, and so belongs to the name of a store.
+
+    `crop` is (top, left, height, width) in texels; `downscale` a whole factor, averaged in linear light; `invalid`
+    says whether NaN or Inf is an "error" or gets weight 0 ("mask").
+    """
+
+    crop: tuple[int, int, int, int] | None = None
+    downscale: int = 1
+    invalid: str = "error"
+    encoding: str = "auto"
+
+
+class Normaliser:
+    """Brings one decoded file to codes [3, H, W] and flags [H, W], and refuses what does not fit the others."""
+
+    def __init__(self, first: np.ndarray, options: PixelOptions, where: str) -> None:
+        self.shape, self.dtype = first.shape, first.dtype
+        self.options = options
+        self.decoder = Decoder(first.dtype, resolve_encoding(options.encoding, first.dtype), 1.0)
+        height, width, channels = first.shape
+        if channels > 4:
+            step = "Save grey or RGB, with alpha or without."
+            raise ShapeError(message(where, "the image", "have 1 to 4 channels", f"it has {channels}", step))
+        self.window = self._window(height, width, where)
+        rows, columns = (axis.stop - axis.start for axis in self.window)
+        factor = options.downscale
+        if not 1 <= factor <= min(rows, columns):
+            fact = f"it is {factor} for {rows} x {columns} texels"
+            step = "Use a smaller factor, 1 for none."
+            raise ShapeError(message(where, "downscale", "be a whole number that leaves a texel", fact, step))
+        self.out_shape = (3, rows // factor, columns // factor)
+        self.out_dtype = np.dtype(np.float32) if factor > 1 else first.dtype
+
+    def _window(self, height: int, width: int, where: str) -> tuple[slice, slice]:
+        if self.options.crop is None:
+            return slice(0, height), slice(0, width)
+        top, left, rows, columns = self.options.crop
+        if top < 0 or left < 0 or rows < 1 or columns < 1 or top + rows > height or left + columns > width:
+            fact = f"it is {self.options.crop} (top, left, height, width) for {height} x {width}"
+            raise ShapeError(message(where, "crop", "lie inside the images", fact, "Move it or make it smaller."))
+        return slice(top, top + rows), slice(left, left + columns)
+
+    def __call__(self, pixels: np.ndarray, where: str) -> tuple[np.ndarray, np.ndarray]:
+        if pixels.shape != self.shape or pixels.dtype != self.dtype:
+            fact = f"it is {pixels.shape} {pixels.dtype}, the first image is {self.shape} {self.dtype}"
+            step = "Bring all images to one size, channel count and bit depth."
+            raise ShapeError(message(where, "the image", "match the others", fact, step))
+        pixels = pixels[self.window]
+        colours = pixels.shape[2] - (pixels.shape[2] in (2, 4))  # a second or fourth channel is alpha
+        codes = pixels[..., :colours].transpose(2, 0, 1)
+        codes = np.repeat(codes, 3, axis=0) if colours == 1 else codes
+        flags = np.zeros(codes.shape[1:], dtype=np.uint8)
+        if self.decoder.full_code is not None:
+            flags[(codes == self.decoder.full_code).any(axis=0)] = CLIPPED
+        if colours < pixels.shape[2]:
+            alpha = pixels[..., colours]
+            # Turned round, so that an alpha of NaN counts as none.
+            flags[~(alpha >= (0.5 if self.decoder.full_code is None else self.decoder.full_code / 2))] = INVALID
+        if self.decoder.full_code is None:
+            codes = self._finite(codes, flags, where)
+        return self._shrink(codes, flags) if self.options.downscale > 1 else (codes, flags)
+
+    def _finite(self, codes: np.ndarray, flags: np.ndarray, where: str) -> np.ndarray:
+        bad = ~np.isfinite(codes).all(axis=0)
+        if not bad.any():
+            return codes
+        unmarked = bad & (flags != INVALID)  # what alpha already leaves out may hold anything
+        if self.options.invalid == "error" and unmarked.any():
+            row, column = np.argwhere(unmarked)[0] + [axis.start for axis in self.window]
+            fact = f"{int(unmarked.sum())} texels are NaN or Inf, first at row {row}, column {column}"
+            step = "Repair the image, or pass invalid='mask' to give those texels no weight."
+            raise DataError(message(where, "the image", "be finite", fact, step))
+        flags[bad] = INVALID
+        return np.where(bad, np.zeros((), dtype=codes.dtype), codes)
+
+    def _shrink(self, codes: np.ndarray, flags: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        factor = self.options.downscale
+        _, rows, columns = self.out_shape
+        trimmed = np.ascontiguousarray(codes[:, : rows * factor, : columns * factor])
+        linear = self.decoder.into(trimmed, torch.empty(trimmed.shape)).numpy()
+        mean = linear.reshape(3, rows, factor, columns, factor).mean(axis=(2, 4))
+        worst = flags[: rows * factor, : columns * factor].reshape(rows, factor, columns, factor).max(axis=(1, 3))
+        return mean, worst
+
+
+def read_pixels(source: Folder | Zip, name: str) -> np.ndarray:
+    """Return the pixels [H, W, C] of one file of `source`; raises DataError, which names the file."""
+    with source.file(name) as path:
+        try:
+            return read_image(path)
+        except DataError as error:
+            # A file from a zip is opened under a scratch name, which would mean nothing to the reader.
+            raise DataError(str(error).replace(str(path), f"{source.path}: {name}")) from error
+
+
+def decode_files(
+    source: Folder | Zip, files: tuple[str, ...], normalise: Normaliser, pixels: np.ndarray, flags: np.ndarray,
+    show: bool | None,
+) -> dict[str, np.ndarray]:
+    """Decode `files` in threads into `pixels` [n, 3, H, W] and `flags` [n, H, W]; return the store's other fields."""
+    count = len(files)
+    table = {name: np.zeros(count, dtype=np.int64) for name in ("clipped", "invalid")}
+    table |= {name: np.zeros(count, dtype=normalise.out_dtype) for name in ("low", "high")}
+
+    def work(first: int) -> None:
+        for row, name in enumerate(files[first : first + _CHUNK], first):
+            codes, marks = normalise(read_pixels(source, name), f"{source.path}: {name}")
+            pixels[row] = codes
+            if marks.any():  # untouched rows of the flag file stay holes that take no space
+                flags[row] = marks
+            table["clipped"][row], table["invalid"][row] = (marks == CLIPPED).sum(), (marks == INVALID).sum()
+            table["low"][row], table["high"][row] = codes.min(), codes.max()
+
+    _in_threads(work, range(0, count, _CHUNK), show)
+    return table
+
+
+def _in_threads(work: Callable[[int], None], starts: range, show: bool | None) -> None:
+    """Run `work` for all `starts`; the first error in their order ends it, once what has begun is done."""
+    with ThreadPoolExecutor(max(2, os.cpu_count() or 1)) as pool:
+        try:
+            for _ in progress(pool.map(work, starts), "decoding", total=len(starts), show=show):
+                pass
+        except BaseException:
+            pool.shutdown(wait=True, cancel_futures=True)
+            raise

@@ -1,0 +1,127 @@
+"""Slopes to height: in one step by Fourier transform, or by weighted least squares where data is missing or doubtful."""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor
+
+from torchmat.errors import RangeError, ShapeError, check_finite, message
+
+_TOLERANCE = 1e-7
+_MOST_STEPS = 400
+
+
+def _check(where: str, slopes: Tensor) -> None:
+    if slopes.ndim != 3 or slopes.shape[0] != 2 or 0 in slopes.shape:
+        raise ShapeError(message(where, "slopes", "be [2, H, W]", f"they are {tuple(slopes.shape)}"))
+    check_finite(where, "slopes", slopes, "Give those texels weight 0 and a slope of 0.")
+
+
+def _frequencies(height: int, width: int, dtype: torch.dtype) -> tuple[Tensor, Tensor]:
+    """Return angular frequencies a texel along x (right) and y (up)."""
+    across = torch.fft.fftfreq(width, dtype=dtype) * 2 * math.pi
+    down = torch.fft.fftfreq(height, dtype=dtype) * 2 * math.pi
+    return across[None, :].expand(height, width), -down[:, None].expand(height, width)
+
+
+def frankot_chellappa(slopes: Tensor, tiles: bool = True) -> Tensor:
+    """Return the height [1, H, W], in texture widths and with mean 0, whose slopes are nearest to `slopes` [2, H, W].
+
+    Frankot and Chellappa 1988: a division in the Fourier domain. A map that does not tile is mirrored first, which
+    makes it periodic without a step at its borders.
+    """
+    _check("frankot_chellappa", slopes)
+    height, width = slopes.shape[-2:]
+    x, y = slopes.double() / width  # rise a texel
+    if not tiles:
+        x = torch.cat((x, -x.flip(1)), dim=1)
+        x = torch.cat((x, x.flip(0)), dim=0)
+        y = torch.cat((y, y.flip(1)), dim=1)
+        y = torch.cat((y, -y.flip(0)), dim=0)
+    across, up = _frequencies(*x.shape, x.dtype)
+    power = across**2 + up**2
+    power[0, 0] = 1
+    spectrum = -1j * (across * torch.fft.fft2(x) + up * torch.fft.fft2(y)) / power
+    spectrum[0, 0] = 0
+    found = torch.fft.ifft2(spectrum).real[:height, :width]
+    return (found - found.mean())[None].to(slopes.dtype)
+
+
+def _differences(height: Tensor, tiles: bool) -> Tensor:
+    """Return the rise from each texel to its right and to its upper neighbour, [2, H, W]; 0 across an open border."""
+    right = height.roll(-1, 1) - height
+    up = height.roll(1, 0) - height
+    if not tiles:
+        right[:, -1], up[0, :] = 0, 0
+    return torch.stack((right, up))
+
+
+def _adjoint(edges: Tensor, tiles: bool) -> Tensor:
+    right, up = edges[0].clone(), edges[1].clone()
+    if not tiles:
+        right[:, -1], up[0, :] = 0, 0
+    return right.roll(1, 1) - right + up.roll(-1, 0) - up
+
+
+def poisson(slopes: Tensor, weight: Tensor | None = None, tiles: bool = True) -> Tensor:
+    """Return the height [1, H, W], in texture widths and with mean 0, of weighted least-squares distance to `slopes`.
+
+    `weight` [1, H, W] >= 0 says how far each texel's slopes are trusted: 0 for holes and masks, which are bridged as
+    smoothly as the rest allows. Conjugate gradients, preconditioned by the unweighted solution (Frankot-Chellappa's).
+    """
+    _check("poisson", slopes)
+    size = slopes.shape[-2:]
+    trust = torch.ones(size, dtype=torch.float64) if weight is None else weight.double().reshape(size)
+    check_finite("poisson", "weight", trust)
+    if bool((trust < 0).any()) or not bool((trust > 0).any()):
+        fact = "some are negative" if bool((trust < 0).any()) else "all are 0"
+        raise RangeError(message("poisson", "weight", "be >= 0 and somewhere positive", fact))
+    trust = trust / trust.max() + 1e-6  # holes keep a trace: it is what makes them smooth
+    rise = slopes.double() / size[1]
+    # Each edge takes the mean of its two texels' slopes, and the smaller trust.
+    edge = torch.stack((rise[0] + rise[0].roll(-1, 1), rise[1] + rise[1].roll(1, 0))) / 2
+    share = torch.stack((torch.minimum(trust, trust.roll(-1, 1)), torch.minimum(trust, trust.roll(1, 0))))
+    right = _adjoint(share * edge, tiles)
+    found = _conjugate_gradients(lambda h: _adjoint(share * _differences(h, tiles), tiles), right, tiles)
+    return (found - found.mean())[None].to(slopes.dtype)
+
+
+def _laplace_inverse(tiles: bool, height: int, width: int):
+    """Return a function that solves the unweighted problem with the edges of `_differences`."""
+    rows, columns = (height, width) if tiles else (2 * height, 2 * width)
+    across, up = _frequencies(rows, columns, torch.float64)
+    power = (2 - 2 * torch.cos(across)) + (2 - 2 * torch.cos(up))
+    power[0, 0] = 1
+
+    def solve(right: Tensor) -> Tensor:
+        if not tiles:
+            right = torch.cat((right, right.flip(1)), dim=1)
+            right = torch.cat((right, right.flip(0)), dim=0)
+        spectrum = torch.fft.fft2(right) / power
+        spectrum[0, 0] = 0
+        return torch.fft.ifft2(spectrum).real[:height, :width]
+
+    return solve
+
+
+def _conjugate_gradients(apply, right: Tensor, tiles: bool) -> Tensor:
+    precondition = _laplace_inverse(tiles, *right.shape)
+    right = right - right.mean()
+    found = torch.zeros_like(right)
+    residual = right.clone()
+    step = precondition(residual)
+    energy = (residual * step).sum()
+    for _ in range(_MOST_STEPS):
+        if float(residual.norm()) <= _TOLERANCE * float(right.norm()) or float(energy) <= 0:
+            break
+        moved = apply(step)
+        length = energy / (step * moved).sum().clamp(min=1e-300)
+        found = found + length * step
+        residual = residual - length * moved
+        turned = precondition(residual)
+        fresh = (residual * turned).sum()
+        step = turned + (fresh / energy) * step
+        energy = fresh
+    return found

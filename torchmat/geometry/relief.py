@@ -1,0 +1,217 @@
+"""Rays against a height field: where a view meets the surface (parallax), what it hides, and soft self-shadow.
+
+Liao 2011 and Tatarchuk 2006: a linear search along the ray, then refinement. A physical height [1, H, W] in texture
+widths stands over the plane z = 0, on which the images of a BTF are registered: an image shows at plane position p
+what the ray through p meets. Texture coordinates run 0..1, u to the right, v up.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import torch
+import torch.nn.functional as functional
+from torch import Tensor
+
+from torchmat import safe
+from torchmat.errors import RangeError, ShapeError, message
+from torchmat.geometry.normals import check_height, pad_border
+
+_STEPS_PER_TEXEL = 1.0
+_REFINEMENTS = 4
+_SHIFT_TEXELS = 10_000  # maps of at least so many texels are moved whole along a shared ray rather than looked up
+_LARGEST_SLOPE = math.tan(math.radians(88.0))  # beyond, a ray crosses many tiles before it meets anything
+
+
+class Hits(NamedTuple):
+    """Where rays meet the surface: `uv` [..., 2, h, w], and its `height` there [..., 1, h, w]."""
+
+    uv: Tensor
+    height: Tensor
+
+
+def texel_centres(height: int, width: int, dtype: torch.dtype = torch.float32) -> Tensor:
+    """Return the texture coordinates [2, H, W] of texel centres, row 0 at the top (v near 1)."""
+    u = (torch.arange(width, dtype=dtype) + 0.5) / width
+    v = 1 - (torch.arange(height, dtype=dtype) + 0.5) / height
+    down, across = torch.meshgrid(v, u, indexing="ij")
+    return torch.stack((across, down))
+
+
+def look_up(maps: Tensor, uv: Tensor, tiles: bool = True) -> Tensor:
+    """Return `maps` [N or 1, C, H, W] at `uv` [N, 2, h, w], bilinear, as [N, C, h, w]; a border texel goes on if not tiling."""
+    rows, columns = maps.shape[-2:]
+    u, v = uv[:, 0], 1 - uv[:, 1]
+    if tiles:
+        maps = pad_border(maps, True)
+        u, v = ((u % 1) * columns + 1) / (columns + 2), ((v % 1) * rows + 1) / (rows + 2)
+    grid = torch.stack((u * 2 - 1, v * 2 - 1), dim=-1)
+    maps = maps.expand(len(grid), -1, -1, -1)
+    return functional.grid_sample(maps, grid, mode="bilinear", padding_mode="border", align_corners=False)
+
+
+class _Field:
+    """A height map that is asked for at uv + z * slope, over and over.
+
+    With one direction for a whole map of texel centres every texel moves by the same amount: the map is shifted and
+    blended with its neighbours, four reads in order, where a look-up computes an address for each texel.
+    """
+
+    def __init__(self, height: Tensor, uv: Tensor, slope: Tensor, tiles: bool, centres: bool, span: float) -> None:
+        self.map, self.uv, self.slope, self.tiles = height[None], uv, slope, tiles
+        rows, columns = height.shape[-2:]
+        self._shifts = centres and slope.shape[-2:] == (1, 1) and rows * columns >= _SHIFT_TEXELS
+        if self._shifts:
+            texels = slope[:, :, 0, 0].detach() * torch.tensor([columns, -rows], dtype=slope.dtype)  # rows run downward
+            self._texels = texels.tolist()
+            self._margin = int(math.ceil(float(texels.abs().max()) * span)) + 2
+            self._wide = pad_border(self.map, tiles, self._margin)[0]
+
+    def at(self, z: Tensor) -> Tensor:
+        """Return the surface at uv + z slope, [N, 1, h, w], for a height per pixel."""
+        return look_up(self.map, self.uv + z * self.slope, self.tiles)
+
+    def along(self, z: float) -> Tensor:
+        """Return the same for one height; |z| at most the span given."""
+        if not self._shifts:
+            return look_up(self.map, self.uv + z * self.slope, self.tiles)
+        return torch.stack([self._shifted(z * across, z * down) for across, down in self._texels])
+
+    def _shifted(self, across: float, down: float) -> Tensor:
+        rows, columns = self.map.shape[-2:]
+        left, top = math.floor(across), math.floor(down)
+        x, y = across - left, down - top
+        part = self._wide[:, self._margin + top :, self._margin + left :]
+        part = part[:, : rows + 1, : columns + 1]
+        part = torch.lerp(part[:, :-1], part[:, 1:], y)
+        return torch.lerp(part[:, :, :-1], part[:, :, 1:], x)
+
+
+def ray_slope(direction: Tensor, height: int, width: int) -> Tensor:
+    """Return how far a ray moves in uv for each unit of height, [..., 2, h, w], from directions [..., 3, h, w].
+
+    Rays flatter than 2 degrees count as that steep. v has the texture's height as its unit, u its width.
+    """
+    slope = safe.divide(direction[..., :2, :, :], direction[..., 2:, :, :])
+    length = safe.sqrt((slope * slope).sum(dim=-3, keepdim=True))
+    slope = slope * (_LARGEST_SLOPE / length.clamp(min=_LARGEST_SLOPE))
+    aspect = torch.tensor([1.0, width / height], dtype=slope.dtype)[:, None, None]
+    return slope * aspect
+
+
+def _batched(where: str, height: Tensor, direction: Tensor, uv: Tensor | None) -> tuple[Tensor, Tensor, torch.Size]:
+    """Return uv [N, 2, h, w], slope [N, 2, 1 or h, 1 or w] and the leading shape, for one view or one per pixel."""
+    check_height(where, height)
+    if direction.ndim < 3 or direction.shape[-3] != 3:
+        raise ShapeError(message(where, "direction", "be [..., 3, h, w]", f"it is {tuple(direction.shape)}"))
+    rows, columns = height.shape[-2:]
+    uv = texel_centres(rows, columns, height.dtype) if uv is None else uv
+    slope = ray_slope(direction, rows, columns)
+    lead = torch.broadcast_shapes(slope.shape[:-3], uv.shape[:-3])
+    slope = slope.expand(*lead, *slope.shape[-3:]).reshape(-1, *slope.shape[-3:])
+    uv = uv.expand(*lead, *uv.shape[-3:]).reshape(-1, *uv.shape[-3:])
+    return uv, slope, lead
+
+
+def _steps(slope: Tensor, span: float, rows: int, columns: int) -> int:
+    texels = slope.detach() * torch.tensor([columns, rows], dtype=slope.dtype)[:, None, None]
+    return int(math.ceil(float(texels.norm(dim=1).max()) * span * _STEPS_PER_TEXEL)) + 2
+
+
+def trace_view(height: Tensor, view: Tensor, uv: Tensor | None = None, tiles: bool = True) -> Hits:
+    """Return where the view rays through plane positions `uv` meet the surface first.
+
+    `view` [..., 3, 1, 1] or per pixel; `uv` [2, h, w], by default the texel centres. A linear search from the top with
+    two steps a texel, then regula falsi; differentiable in the height: one Newton step from the root found carries
+    the gradient of the implicit equation ``height(p + z slope) = z``.
+    """
+    centres = uv is None
+    uv, slope, lead = _batched("trace_view", height, view, uv)
+    low, high = float(height.detach().min()), float(height.detach().max())
+    field = _Field(height, uv, slope, tiles, centres, max(abs(low), abs(high)))
+    with torch.no_grad():
+        root = _first_root(field, low, high)
+    hit_height = _implicit(field, root) if height.requires_grad else root
+    hit = uv + hit_height * slope
+    return Hits(hit.reshape(*lead, *hit.shape[1:]), hit_height.reshape(*lead, *hit_height.shape[1:]))
+
+
+def _implicit(field: _Field, root: Tensor) -> Tensor:
+    """Return `root` with the gradient that the equation surface(uv + z slope) = z gives it."""
+    with torch.enable_grad():
+        z = root.detach().requires_grad_()
+        met = look_up(field.map.detach(), field.uv + z * field.slope, field.tiles)
+        (climb,) = torch.autograd.grad(met.sum(), z)
+    # Where the ray only just touches, the true gradient is infinite: it is held at ten times that of a flat surface.
+    steepness = (1 - climb).clamp(min=0.1)
+    gap = field.at(root) - root
+    return root + (gap - gap.detach()) / steepness
+
+
+def _first_root(field: _Field, low: float, high: float) -> Tensor:
+    """Return the largest z at which the surface at uv + z slope reaches z, [N, 1, h, w]."""
+    count = _steps(field.slope, high - low, *field.map.shape[-2:])
+    last = high
+    gap_last = field.along(high) - high
+    above, gap_above = torch.full_like(gap_last, high), gap_last
+    below, gap_below = above.clone(), gap_last
+    found = torch.zeros_like(above, dtype=torch.bool)
+    for step in range(count + 1):
+        z = high - (high - low) * step / count
+        here = field.along(z) - z
+        new = (here >= 0) & ~found
+        above.masked_fill_(new, last)
+        below.masked_fill_(new, z)
+        gap_above, gap_below = torch.where(new, gap_last, gap_above), torch.where(new, here, gap_below)
+        found |= new
+        last, gap_last = z, here
+    for _ in range(_REFINEMENTS):
+        z = torch.lerp(above, below, safe.divide(gap_above, gap_above - gap_below).clamp(0, 1))
+        here = field.at(z) - z
+        outside = here < 0
+        above, gap_above = torch.where(outside, z, above), torch.where(outside, here, gap_above)
+        below, gap_below = torch.where(outside, below, z), torch.where(outside, gap_below, here)
+    return torch.lerp(above, below, safe.divide(gap_above, gap_above - gap_below).clamp(0, 1))
+
+
+def clearance(height: Tensor, direction: Tensor, uv: Tensor | None = None, tiles: bool = True) -> Tensor:
+    """Return by how much the ray from the surface at `uv` toward `direction` misses the surface, [..., 1, h, w].
+
+    It is the least over the ray of (ray height - surface height) / distance, a difference of slopes: positive where
+    the way is free, negative where it is blocked. Walks until the ray is above the highest point.
+    """
+    centres = uv is None
+    uv, slope, lead = _batched("clearance", height, direction, uv)
+    span = float(height.detach().max() - height.detach().min())
+    field = _Field(height, uv, slope, tiles, centres, span)
+    run = slope.norm(dim=1, keepdim=True).clamp(min=1e-6)  # distance along the plane for each unit of height
+    start = field.along(0.0)
+    least = (1 / run).expand_as(start)  # what a flat surface leaves free
+    count = _steps(slope, span, *height.shape[-2:])
+    for step in range(1, count + 1):
+        z = span * step / count
+        if z > 0:
+            least = torch.minimum(least, (start + z - field.along(z)) / (z * run))
+    return least.reshape(*lead, *least.shape[1:])
+
+
+def soft_shadow(
+    height: Tensor, light: Tensor, softness: float = 0.05, uv: Tensor | None = None, tiles: bool = True
+) -> Tensor:
+    """Return how much of the light reaches the surface at `uv`, [..., 1, h, w] in [0, 1].
+
+    The penumbra widens with the distance of what casts the shadow (Tatarchuk 2006): full light where the ray clears
+    everything by a slope of `softness` / 2, none where it is blocked by as much, linear between. A light at or below
+    the horizon gives 0.
+    """
+    if not 0 < softness < math.inf:
+        raise RangeError(message("soft_shadow", "softness", "be positive and finite", f"it is {softness}"))
+    free = clearance(height, light, uv, tiles)
+    lit = (free / softness + 0.5).clamp(0, 1)
+    return torch.where(light[..., 2:, :, :] > 0, lit, torch.zeros_like(lit))
+
+
+def visible(height: Tensor, view: Tensor, tolerance: float = 0.02, tiles: bool = True) -> Tensor:
+    """Return where the view sees the surface point of each texel, bool [..., 1, H, W]."""
+    return clearance(height, view, None, tiles) > -tolerance
