@@ -1,4 +1,4 @@
-"""The command line: torchmat fit, render, compare, info."""
+"""The command line: torchmat fit, render, compare, info, geometry."""
 
 from __future__ import annotations
 
@@ -185,8 +185,82 @@ class Info:
             print(f"picture    {directions_picture(btf, self.plot or Path('directions.png'))}")
 
 
+@dataclass
+class Geometry:
+    """Recover height and normals: from photographs of one view under known lights, or from one picture."""
+
+    path: Annotated[str, tyro.conf.Positional]
+    """RTI folder or BTF (its most frontal view), a folder of photographs with --lights or --ball, or one picture."""
+    out: Path = Path("relief")
+    """Folder to write."""
+    lights: Path | None = None
+    """Text file with x y z of one light a line (or a column), in the order of the photographs' names."""
+    ball: Path | None = None
+    """Folder of photographs of a chrome ball under the same lights, in the same order."""
+    circle: tuple[float, float, float] | None = None
+    """The ball's centre (column, row) and radius in pixels."""
+    tiles: bool = False
+    """The surface repeats: its left border continues its right one."""
+    depth: str = "16"
+    """16 (PNG) or float (EXR)."""
+    integration: str = "poisson"
+    """poisson (weighted by confidence) or fourier (Frankot-Chellappa)."""
+    height_scale: float = 0.05
+    """One picture only: height of white, in texture widths."""
+    normal_strength: float = 1.0
+    """One picture only: 1 to 8."""
+    read: Annotated[DataArguments, tyro.conf.arg(name="")] = field(default_factory=DataArguments)
+
+    def run(self) -> None:
+        from torchmat.material_io.relief import save_relief
+        from torchmat.report.pictures import relief_picture
+
+        relief = self._recover()
+        folder = save_relief(
+            relief, self.out, self.depth, {"source": self.path}, lambda f: relief_picture(relief, f / "relief.png") and None
+        )
+        for path in sorted(folder.iterdir()):
+            print(f"relief     {path}")
+
+    def _recover(self):
+        from torchmat import colour
+        from torchmat.btf.photographs import read_linear, read_photographs
+        from torchmat.geometry import relief_from_photographs, relief_from_picture
+        from torchmat.images import IMAGE_SUFFIXES
+
+        encoding = self.read.encoding or "auto"
+        if Path(self.path).is_file() and Path(self.path).suffix.lower() in IMAGE_SUFFIXES:
+            picture = colour.display(read_linear(self.path, encoding))
+            return relief_from_picture(picture, self.height_scale, self.normal_strength, self.tiles)
+        if self.lights is not None or self.ball is not None:
+            images, weight = read_photographs(self.path, encoding), None
+            light = self._given_lights(len(images))
+        else:
+            btf = self.read.load(self.path)
+            rows = ((btf.view_index == int(btf.views[:, 2].argmax())) & (btf.light[:, 2] > 0)).nonzero()[:, 0]
+            images, light, weight = btf.images(rows), btf.light[rows], btf.weights(rows)
+        return relief_from_photographs(images, light, weight, self.tiles, self.integration)
+
+    def _given_lights(self, count: int):
+        import torch
+
+        from torchmat.btf.photographs import read_lights, read_photographs
+        from torchmat.errors import RangeError, message
+        from torchmat.geometry import find_highlight, lights_from_ball
+
+        if self.lights is not None:
+            return read_lights(self.lights, count)
+        balls = read_photographs(self.ball)
+        if self.circle is None or len(balls) != count:
+            fact = "--circle is missing" if self.circle is None else f"there are {len(balls)} for {count} photographs"
+            step = "Give --circle COLUMN ROW RADIUS and one photograph of the ball for each light."
+            raise RangeError(message(str(self.ball), "the ball", "be calibrated", fact, step))
+        centre, radius = self.circle[:2], self.circle[2]
+        return lights_from_ball(torch.stack([find_highlight(ball, centre, radius) for ball in balls]), centre, radius).float()
+
+
 _STYLE = (tyro.conf.FlagCreatePairsOff,)
-COMMANDS = {"fit": Fit, "render": Render, "compare": Compare, "info": Info}
+COMMANDS = {"fit": Fit, "render": Render, "compare": Compare, "info": Info, "geometry": Geometry}
 
 
 def main(arguments: list[str] | None = None, command: str | None = None) -> int:

@@ -122,12 +122,13 @@ def start_up() -> list[dict[str, Any]]:
 
 
 _LOAD = """
-import json, resource, tempfile
+import json, tempfile
 import torchmat as tm
+from torchmat.machine import peak_memory_mb
 with tempfile.TemporaryDirectory() as cache:
     first = tm.load_btf({path!r}, cache=cache).source.load_seconds
     again = tm.load_btf({path!r}, cache=cache).source.load_seconds
-print(json.dumps(dict(first=first, again=again, peak_rss_mb=resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3)))
+print(json.dumps(dict(first=first, again=again, peak_rss_mb=peak_memory_mb())))
 """
 
 
@@ -209,10 +210,11 @@ def open_large(folder: str, size: int) -> Btf:
 
 
 _LARGE = """
-import json, resource, sys, time
+import json, sys, time
 sys.path.insert(0, {here!r})
 import torchmat as tm
 from suites import open_large
+from torchmat.machine import peak_memory_mb
 btf = open_large({folder!r}, {size})
 for block in btf.blocks(): pass
 start = time.perf_counter()
@@ -221,7 +223,7 @@ read = time.perf_counter() - start
 result = tm.fit(btf, "phong_srf", residual={residual!r}, measure=False)
 held_out = tm.evaluate(result.material, btf, result.split.held_out[::20]).report["relative_error"]
 print(json.dumps(dict(read=read, fit=result.report["fit_seconds"], relative_error=held_out,
-    peak_rss_mb=resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3)))
+    peak_rss_mb=peak_memory_mb())))
 """
 
 

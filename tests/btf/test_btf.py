@@ -8,7 +8,7 @@ import torch
 from support import all_pairs, assert_close, hemisphere, plausible_images
 
 from torchmat import Btf, RangeError, ShapeError
-from torchmat.btf import btf as btf_module
+from torchmat.btf import stream as stream_module
 from torchmat.btf.btf import unique_directions
 from torchmat.btf.decode import Decoder
 from torchmat.btf.store import CLIPPED, INVALID, summarise
@@ -145,7 +145,7 @@ def test_indices_lead_back_to_the_directions(small_btf):
 
 @pytest.mark.parametrize("values, blocks", [(1, 5), (12, 3), (29, 2), (10**6, 1)])
 def test_blocks_cover_every_sample_once(values, blocks, monkeypatch):
-    monkeypatch.setattr(btf_module, "BLOCK_VALUES", values)
+    monkeypatch.setattr(stream_module, "BLOCK_VALUES", values)
     btf = flagged_btf()
     seen, images, weights = [], [], []
     for block in btf.blocks():
@@ -161,7 +161,7 @@ def test_blocks_cover_every_sample_once(values, blocks, monkeypatch):
 @pytest.mark.parametrize("values", [1, 12, 29, 10**6])
 @pytest.mark.parametrize("clipped_weight", [0.25, 1.0])
 def test_weight_blocks_are_those_with_a_weight_below_one(values, clipped_weight, monkeypatch):
-    monkeypatch.setattr(btf_module, "BLOCK_VALUES", values)
+    monkeypatch.setattr(stream_module, "BLOCK_VALUES", values)
     btf = flagged_btf(clipped_weight)
     weights = torch.ones(5, 1, 1, 2)
     for samples, weight in btf.weight_blocks():
@@ -171,8 +171,17 @@ def test_weight_blocks_are_those_with_a_weight_below_one(values, clipped_weight,
     assert weights[:, 0, 0].tolist() == [[1, 1], [1, clipped_weight], [1, 1], [0, 1], [1, 1]]
 
 
+def test_an_abandoned_pass_leaves_the_next_one_whole(monkeypatch):
+    monkeypatch.setattr(stream_module, "BLOCK_VALUES", 1)
+    btf = flagged_btf()
+    for block in btf.blocks():
+        block.images.fill_(9.0)  # scratch: overwriting it must not reach the store
+        break
+    assert torch.equal(torch.cat([block.images.clone() for block in btf.blocks()]), btf.images(range(5)))
+
+
 def test_unwanted_blocks_are_skipped(monkeypatch):
-    monkeypatch.setattr(btf_module, "BLOCK_VALUES", 1)
+    monkeypatch.setattr(stream_module, "BLOCK_VALUES", 1)
     btf = flagged_btf()
     wanted = torch.tensor([False, True, False, False, True])
     assert [block.samples[0] for block in btf.blocks(wanted)] == [1, 4]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -12,24 +11,12 @@ from torch import Tensor
 
 from torchmat.btf.decode import Decoder
 from torchmat.btf.store import CLIPPED, INVALID, PixelStore, summarise
+from torchmat.btf.stream import Block, runs, stream_blocks
 from torchmat.errors import RangeError, ShapeError, check_finite, check_unit, message
 
 # Little, so that unclipped samples decide where there are any; not 0, or a texel clipped throughout would turn black.
 CLIPPED_WEIGHT = 0.05
-BLOCK_VALUES = 8_000_000  # values of one decoded block: 32 MB in float32, small beside any BTF worth streaming
 _DIRECTION_DECIMALS = 4  # directions closer than about 1e-4 (0.006 degrees) are one direction
-
-
-class Block(NamedTuple):
-    """A run of consecutive samples.
-
-    `samples` are its indices [k]; `images` [k, 3, H, W] linear; `weight` [k, 1, H, W] in [0, 1], or None when it is
-    1 throughout. The tensors are scratch: they may be overwritten, and hold until the next block is asked for.
-    """
-
-    samples: range
-    images: Tensor
-    weight: Tensor | None
 
 
 @dataclass(frozen=True)
@@ -259,35 +246,25 @@ class Btf:
         """Stream all samples in their stored order, a run at a time.
 
         `wanted`, bool [sample], skips runs that hold none of the wanted samples; other runs come whole, since reading
-        in order is faster than picking. Mapped pages are dropped behind the pass, so memory stays bounded.
+        in order is faster than picking.
         """
-        step = max(1, BLOCK_VALUES // (3 * self.height * self.width))
-        buffer = torch.empty(min(step, len(self)), 3, self.height, self.width, dtype=dtype)
         flagged = self._reduced()
-        for first in range(0, len(self), step):
-            samples = range(first, min(first + step, len(self)))
-            if wanted is not None and not bool(wanted[first : samples.stop].any()):
-                continue
-            codes = np.ascontiguousarray(self._store.pixels[first : samples.stop])
-            images = self._decoder.into(codes, buffer[: len(samples)])
-            weight = None
-            if self._store.flags is not None and flagged[first : samples.stop].any():
-                weight = self._to_weight(self._store.flags[first : samples.stop])
-            yield Block(samples, images, weight)
-            self._store.release()
+
+        def weigh(run: range) -> Tensor | None:
+            if self._store.flags is None or not flagged[run.start : run.stop].any():
+                return None
+            return self._to_weight(self._store.flags[run.start : run.stop])
+
+        return stream_blocks(self._store, self._decoder, weigh, wanted, dtype)
 
     def weight_blocks(self, wanted: Tensor | None = None) -> Iterator[tuple[range, Tensor]]:
         """Stream the weights [k, 1, H, W] of just those runs of samples in which some weight is below 1."""
         if self._store.flags is None:
             return
-        step = max(1, BLOCK_VALUES // (3 * self.height * self.width))
         reduced = torch.from_numpy(self._reduced() > 0)
-        wanted = reduced if wanted is None else reduced & wanted
-        for first in range(0, len(self), step):
-            samples = range(first, min(first + step, len(self)))
-            if bool(wanted[first : samples.stop].any()):
-                yield samples, self._to_weight(self._store.flags[first : samples.stop])
-                self._store.release()
+        for run in runs(self._store, reduced if wanted is None else reduced & wanted):
+            yield run, self._to_weight(self._store.flags[run.start : run.stop])
+            self._store.release(run)
 
     def _reduced(self) -> np.ndarray:
         """Count, for each sample, the texels whose weight is below 1."""

@@ -28,13 +28,15 @@ class PixelStore:
     low: np.ndarray
     high: np.ndarray
 
-    def release(self) -> None:
-        """Drop mapped pages from memory, so that a pass over a large file leaves no trace in the process."""
+    def release(self, samples: range) -> None:
+        """Drop the mapped pages of `samples` from memory, so that a pass over a large file leaves no trace of itself."""
         for array in (self.pixels, self.flags):
             mapped = getattr(array, "_mmap", None)
-            large = mapped is not None and array.nbytes > _RELEASE_BYTES
-            if large and hasattr(mmap, "MADV_DONTNEED"):
-                mapped.madvise(mmap.MADV_DONTNEED)
+            if mapped is None or array.nbytes <= _RELEASE_BYTES or not hasattr(mmap, "MADV_DONTNEED"):
+                continue
+            row = array.nbytes // len(array)
+            first = samples.start * row // mmap.PAGESIZE * mmap.PAGESIZE  # advice is given for whole pages
+            mapped.madvise(mmap.MADV_DONTNEED, first, samples.stop * row - first)
 
 
 def summarise(pixels: np.ndarray, flags: np.ndarray) -> PixelStore:

@@ -8,7 +8,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from torchmat.errors import DataError, RangeError, check_known_keys, message
+from torchmat.btf.split import HOLDOUT_WAYS
+from torchmat.errors import DataError, RangeError, check_known_keys, check_option, message
 from torchmat.fit.registry import resolve_options
 
 _DATA_KEYS = (
@@ -34,6 +35,10 @@ class FitConfig:
     def __post_init__(self) -> None:
         resolve_options(self.model, self.options)
         check_known_keys("config [data]", self.data, _DATA_KEYS)
+        check_option("config", "holdout_by", self.holdout_by, HOLDOUT_WAYS)
+        if not 0 <= self.holdout < 1:
+            step = "It is the share that is held out; 0.2 is usual."
+            raise RangeError(message("config", "holdout", "lie in [0, 1)", f"it is {self.holdout}", step))
 
 
 def _typed(where: str, table: dict[str, Any]) -> dict[str, Any]:

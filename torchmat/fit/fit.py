@@ -2,12 +2,8 @@
 
 from __future__ import annotations
 
-import platform
-import resource
-import sys
 import time
 from dataclasses import dataclass, field
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
@@ -20,11 +16,11 @@ from torchmat.fit.config import FitConfig, load_config
 from torchmat.fit.evaluate import Evaluation, evaluate, shading_rate
 from torchmat.fit.registry import FITTERS, resolve_options
 from torchmat.fit.training import make_training
+from torchmat.machine import peak_memory_mb, versions
 from torchmat.models import Material
 
 _TRAIN_SAMPLES = 512  # the training error is measured on at most so many samples, evenly chosen
 _PARTS = ("train", "held_out", "held_out_after_export")
-_PACKAGES = ("torchmat", "torch", "numpy", "kornia", "OpenImageIO", "scikit-learn")
 
 
 @dataclass(frozen=True)
@@ -82,9 +78,9 @@ def fit(
         "seed": config.seed, "holdout": config.holdout, "holdout_by": config.holdout_by,
         "bytes_per_texel": fitted.material.bytes_per_texel, "shared_bytes": fitted.material.shared_bytes,
         "fit_seconds": seconds, "load_seconds": btf.source.load_seconds,
-        "shade_mtexels_per_s": shading_rate(fitted.material), "peak_rss_mb": _peak_rss_mb(),
+        "shade_mtexels_per_s": shading_rate(fitted.material), "peak_rss_mb": peak_memory_mb(),
         "stop_reason": fitted.stop_reason, **report, "coverage": _coverage(fitted.coverage), **_source(btf),
-        "figures": fitted.figures, "versions": _versions(),
+        "figures": fitted.figures, "versions": versions(),
     }
     errors = held_out.per_sample if held_out else None
     return FitResult(
@@ -131,18 +127,3 @@ def _source(btf: Btf) -> dict[str, Any]:
             "clipped_share": btf.clipped_share, "invalid_share": btf.invalid_share,
         }
     }
-
-
-def _peak_rss_mb() -> float:
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return peak / 1e6 if sys.platform == "darwin" else peak / 1e3
-
-
-def _versions() -> dict[str, str]:
-    found = {"python": platform.python_version()}
-    for package in _PACKAGES:
-        try:
-            found[package] = version(package)
-        except PackageNotFoundError:
-            found[package] = "unknown"
-    return found

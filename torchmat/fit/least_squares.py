@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 
 from torchmat.btf.btf import Btf
+from torchmat.fit.repeatable import add_product, one_thread, product
 
 _TEXELS = 16384  # solved at a time: their normal matrices are the largest tensors
 _DETERMINED = 1e-6  # share of the full design's information in a direction, below which a texel has none
@@ -52,7 +53,8 @@ def make_design(matrix: Tensor, used: Tensor, ridge: float = 0.0) -> Design:
     # The rank is judged on columns of one length, so that it does not depend on the terms' units.
     length = matrix.norm(dim=0)
     length = torch.where(length > 0, length, torch.ones_like(length))
-    left, singular, right = torch.linalg.svd(matrix / length, full_matrices=False)
+    with one_thread():
+        left, singular, right = torch.linalg.svd(matrix / length, full_matrices=False)
     # Directions come in float32; what lies below their rounding is not a column of its own.
     kept = singular > singular.max().clamp(min=1e-300) * 1e-6
     basis, back = left[:, kept], singular[kept, None] * right[kept] * length
@@ -77,7 +79,7 @@ class Moments:
 def stream_moments(btf: Btf, design: Design, used: Tensor, dtype: torch.dtype = torch.float32) -> Moments:
     """Make the one pass over the images of `btf` that a linear fit needs."""
     basis = design.basis.to(dtype)
-    product = torch.zeros(design.rank, 3 * btf.height * btf.width, dtype=dtype)
+    total = torch.zeros(design.rank, 3 * btf.height * btf.width, dtype=dtype)
     means = torch.zeros(len(btf), 3, dtype=torch.float64)
     for block in btf.blocks(used, dtype):
         rows = slice(block.samples.start, block.samples.stop)
@@ -86,10 +88,10 @@ def stream_moments(btf: Btf, design: Design, used: Tensor, dtype: torch.dtype = 
             means[rows] = images.mean(dim=(2, 3)).double()
         else:
             images = images * block.weight
-            total = block.weight.sum(dim=(2, 3))
-            means[rows] = (images.sum(dim=(2, 3)) / total.clamp(min=1e-12)).double()
-        product.addmm_(basis[rows].T, images.flatten(1))
-    return Moments(product.unflatten(1, (3, btf.height, btf.width)), means)
+            share = block.weight.sum(dim=(2, 3))
+            means[rows] = (images.sum(dim=(2, 3)) / share.clamp(min=1e-12)).double()
+        add_product(total, basis[rows], images.flatten(1))
+    return Moments(total.unflatten(1, (3, btf.height, btf.width)), means)
 
 
 def stream_means(btf: Btf, used: Tensor, texels: Tensor, dtype: torch.dtype = torch.float32) -> Tensor:
@@ -134,7 +136,9 @@ def stream_deficit(btf: Btf, design: Design, used: Tensor, explained: Tensor) ->
             total = torch.zeros(columns.shape[1], texels, dtype=torch.float64)
         hit = ((weight < 1) & used[rows, None]).any(dim=0)
         touched |= hit
-        total[:, hit] += columns[rows].T @ ((1 - weight[:, hit].double()) * used[rows, None])
+        part = torch.zeros(len(total), int(hit.sum()), dtype=torch.float64)
+        add_product(part, columns[rows], (1 - weight[:, hit].double()) * used[rows, None])
+        total[:, hit] += part
     if total is None or not bool(touched.any()):
         return None
     where = touched.nonzero()[:, 0]
@@ -164,9 +168,9 @@ def solve_texels(
         explained = torch.zeros(len(btf), 3, dtype=torch.float64)
     explained = torch.where(used[:, None], explained.double(), torch.zeros((), dtype=torch.float64))
     dtype = moments.product.dtype
-    shared = design.basis.T @ explained  # [rank, 3]
-    product = moments.product - shared[:, :, None, None].to(dtype)
-    coefficients = torch.einsum("kr,rchw->kchw", design.to_coefficients.to(dtype), product)
+    shared = product(design.basis.T, explained)  # [rank, 3]
+    target = moments.product - shared[:, :, None, None].to(dtype)
+    coefficients = torch.einsum("kr,rchw->kchw", design.to_coefficients.to(dtype), target)
     coverage = torch.full((1, btf.height, btf.width), design.rank / design.terms)
     deficit = stream_deficit(btf, design, used, explained)
     if deficit is not None:
@@ -176,7 +180,7 @@ def solve_texels(
         flat, ranks = coefficients.flatten(2), coverage.flatten()
         for part in torch.arange(len(deficit.texels)).split(_TEXELS):
             texels = deficit.texels[part]
-            right = product.flatten(2)[:, :, texels].permute(2, 0, 1).double() + deficit.offset[part]
+            right = target.flatten(2)[:, :, texels].permute(2, 0, 1).double() + deficit.offset[part]
             solved, rank = _solve_masked(design, deficit.normal[part], right, floor)
             flat[:, :, texels] = solved.permute(1, 2, 0).to(dtype)
             ranks[texels] = (rank / design.terms).float()

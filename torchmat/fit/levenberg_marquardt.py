@@ -17,6 +17,7 @@ from torch import Tensor
 from torch.autograd import forward_ad
 
 from torchmat.errors import FitError, check_finite, message
+from torchmat.fit.repeatable import one_thread
 
 CONVERGED, STEP_LIMIT, NOT_FINITE = "converged", "step limit", "not finite"
 
@@ -121,11 +122,12 @@ def levenberg_marquardt(
         raise FitError(message("levenberg_marquardt", "the start", "give finite residuals", "it does not", step))
     jacobian = jacobian or forward_jacobian(residual)
     history = [state.cost.clone()]
-    for _ in range(max_steps):
-        if bool(state.done.all()):
-            break
-        _step(residual, jacobian, state, low, high, tolerance)
-        history.append(state.cost.clone())
+    with one_thread():
+        for _ in range(max_steps):
+            if bool(state.done.all()):
+                break
+            _step(residual, jacobian, state, low, high, tolerance)
+            history.append(state.cost.clone())
     return Solution(state.parameters, state.cost, state.reasons(), torch.stack(history))
 
 

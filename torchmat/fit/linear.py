@@ -7,6 +7,7 @@ from torch import Tensor
 
 from torchmat import safe
 from torchmat.fit.least_squares import Design, LinearFit, Moments, make_design, solve_texels, stream_moments
+from torchmat.fit.repeatable import product
 from torchmat.fit.training import Fitted, Training
 from torchmat.models import Hsh, Lambert, Lptm, Ptm, Texture
 from torchmat.models.bases import BASES
@@ -62,7 +63,7 @@ def fit_lptm(training: Training, *, storage: str = "half") -> Fitted:
     """
     design, moments, solved = _solve(training, "polynomial")
     luminance = _luminance(solved.coefficients, 1)
-    ones = (design.basis.T @ training.used.double()).to(training.dtype)
+    ones = product(design.basis.T, training.used.double()).to(training.dtype)
     total = torch.einsum("r,rchw->chw", ones, moments.product).clamp(min=0)
     brightness = _luminance(total, 0)
     grey = torch.ones_like(total)

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 
 import torch
 from torch import Tensor
 
 from torchmat import safe
 from torchmat.errors import FitError, RangeError, message
+from torchmat.fit.repeatable import one_thread, product
 from torchmat.fit.training import Fitted, Training
 from torchmat.models import LocalPca, Pca
 from torchmat.models.angular import projected
@@ -21,26 +21,9 @@ _LLOYD_STEPS = 30
 _RESTARTS = 2
 
 
-@contextmanager
-def _one_thread() -> Iterator[None]:
-    """Compute with one thread: LAPACK's QR and long sums come out in other bits with two, and hardly faster."""
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(threads)
-
-
 def _orthonormal(matrix: Tensor) -> Tensor:
-    with _one_thread():
+    with one_thread():
         return torch.linalg.qr(matrix).Q
-
-
-def _product(first: Tensor, second: Tensor) -> Tensor:
-    """Return first @ second where the sum runs over a dimension that may be long."""
-    with _one_thread():
-        return first @ second
 
 
 class _Images:
@@ -105,12 +88,12 @@ def fit_pca(training: Training, *, components: int = 16, storage: str = "half") 
     width = 3 * images.texels
 
     def times(right: Tensor) -> Tensor:
-        return torch.cat([_product(part.flatten(1), right) for _, part in images.runs()])
+        return torch.cat([product(part.flatten(1), right) for _, part in images.runs()])
 
     def transposed(left: Tensor) -> Tensor:
         total = torch.zeros(width, left.shape[1], dtype=left.dtype)
         for rows, part in images.runs():
-            with _one_thread():
+            with one_thread():
                 total.addmm_(part.flatten(1).T, left[rows])
         return total
 
@@ -120,22 +103,22 @@ def fit_pca(training: Training, *, components: int = 16, storage: str = "half") 
     leading = _leading(rest, components)
     # Images are projected, not taken from the SVD: a dark texel beside a highlight of 1e6 times keeps its digits.
     maps = {
-        "component": _product(leading.T, rest).reshape(-1, training.btf.height, training.btf.width),
-        "weight": _product(found, leading).T[:, None].contiguous(), "directions": _directions(training, images.rows),
+        "component": product(leading.T, rest).reshape(-1, training.btf.height, training.btf.width),
+        "weight": product(found, leading).T[:, None].contiguous(), "directions": _directions(training, images.rows),
     }
     return Fitted(_balanced(Pca, maps, ("component", "weight"), components=components, storage=storage))
 
 
 def _leading(matrix: Tensor, count: int) -> Tensor:
     """Return the leading left singular vectors [r, count] of a wide matrix [r, n], by QR of its transpose."""
-    with _one_thread():
+    with one_thread():
         triangle = torch.linalg.qr(matrix.T, mode="r").R
         return torch.linalg.svd(triangle.T.double()).U[:, :count].to(matrix.dtype)
 
 
 def _thin_svd(matrix: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """Return the SVD of a wide matrix [r, n], n >> r, by QR of its transpose."""
-    with _one_thread():
+    with one_thread():
         q, r = torch.linalg.qr(matrix.T)
         u, singular, v = torch.linalg.svd(r.T.double())
         return u.to(matrix.dtype), singular.to(matrix.dtype), (v.to(matrix.dtype) @ q.T)
@@ -181,26 +164,26 @@ def fit_local_pca(
         total = torch.zeros(images.texels, right.shape[1], dtype=right.dtype)
         right = right.unflatten(0, (count, 3))
         for rows, part in images.runs():
-            with _one_thread():
+            with one_thread():
                 total.addmm_(part.flatten(0, 1).T, right[rows].flatten(0, 1))
         return total
 
     def transposed(left: Tensor) -> Tensor:  # left [texel, r] -> [3 sample, r]
-        return torch.cat([_product(part.flatten(0, 1), left) for _, part in images.runs()])
+        return torch.cat([product(part.flatten(0, 1), left) for _, part in images.runs()])
 
     generator = torch.Generator().manual_seed(training.seed)
     rank = min(max(4 * (components + 1), 96), images.texels, 3 * count)
     found, rest = _range_finder(times, transposed, 3 * count, rank, generator, training.dtype)
     left, singular, right = _thin_svd(rest)
-    points = (_product(found, left) * singular).double()
-    with _one_thread():
+    points = (product(found, left) * singular).double()
+    with one_thread():
         label, means, bases = _cluster(points, clusters, components, generator)
     weight = torch.zeros(components, images.texels, dtype=torch.float64)
     for number in range(clusters):
         inside = label == number
         weight[:, inside] = bases[number] @ (points[inside] - means[number]).T
     tables = torch.cat((means[:, None], bases), dim=1).to(training.dtype)
-    tables = _product(tables, right)  # [clusters, 1 + components, 3 sample]
+    tables = product(tables, right)  # [clusters, 1 + components, 3 sample]
     tables = tables.unflatten(2, (count, 3)).permute(1, 3, 0, 2).flatten(0, 1)
     size = (training.btf.height, training.btf.width)
     maps = {

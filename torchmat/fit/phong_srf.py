@@ -14,6 +14,7 @@ from torchmat.fit.least_squares import Moments, solve_texels, stream_means, stre
 from torchmat.fit.levenberg_marquardt import CONVERGED, Solution, levenberg_marquardt
 from torchmat.fit.linear import design_of
 from torchmat.fit.training import Fitted, Training
+from torchmat.metrics import relative
 from torchmat.models import PhongSrf
 from torchmat.models.lobes import LOBES, Lobe
 from torchmat.models.phong_srf import RESIDUALS
@@ -80,11 +81,11 @@ def _common_texels(moments: Moments) -> Tensor:
     return size <= _OUTLYING * rest.mean()
 
 
-def _relative_error(training: Training, means: Tensor, lobe: Lobe, parameters: Tensor) -> float:
+def _relative_error(training: Training, means: Tensor, lobe: Lobe, parameters: Tensor) -> float | None:
     used = training.used
     light, view = training.light[used].double(), training.view[used].double()
     predicted = lobe.evaluate(parameters, light, view)[:, :, 0, 0]
-    return float((predicted - means[used]).square().sum() / means[used].square().sum().clamp(min=1e-300))
+    return relative(float((predicted - means[used]).square().sum()), float(means[used].square().sum()))
 
 
 def _fit_lobe(training: Training, means: Tensor, lobe: Lobe) -> dict[str, tuple[Tensor, str]]:

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +18,7 @@ import torch
 from torchmat import atomic
 from torchmat.errors import DataError, TorchmatError, check_finite, check_option, message
 from torchmat.images import read_image, write_image
+from torchmat.machine import package_version
 from torchmat.models import MATERIALS, Material
 from torchmat.models.storage import STORAGES, Codes, MapSpec, decode, encode
 
@@ -33,13 +33,6 @@ CONVENTIONS = {
     "value": "pi * f_r * cos(light), linear RGB, Rec. 709 primaries; 0 for light or view at or below z = 0",
     "codes": "integer codes run from low (0) to high (largest code) per channel, linearly or sRGB-encoded",
 }
-
-
-def _package_version() -> str:
-    try:
-        return version("torchmat")
-    except PackageNotFoundError:
-        return "unknown"
 
 
 def _texture_entry(spec: MapSpec, file: str, codes: Codes) -> dict[str, Any]:
@@ -65,7 +58,7 @@ def write_material(material: Material, folder: Path, provenance: dict[str, Any] 
     constants = {spec.name: material.maps[spec.name].tolist() for spec in material.specs() if spec.constant}
     height, width = material.size
     manifest = {
-        "format": FORMAT, "version": VERSION, "written_by": f"torchmat {_package_version()}",
+        "format": FORMAT, "version": VERSION, "written_by": f"torchmat {package_version()}",
         "model": material.name, "options": material.options, "storage": material.storage, "tiles": material.tiles,
         "height": height, "width": width, "bytes_per_texel": material.bytes_per_texel,
         "shared_bytes": material.shared_bytes, "conventions": CONVENTIONS, "constants": constants,

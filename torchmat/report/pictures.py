@@ -12,6 +12,7 @@ from torchmat import colour
 from torchmat.btf import Btf
 from torchmat.errors import DataError, message
 from torchmat.fit import FitResult, predict
+from torchmat.geometry import Relief
 from torchmat.render import render
 
 DPI = 120
@@ -161,3 +162,24 @@ def write_pictures(btf: Btf, result: FitResult, folder: Path) -> list[Path]:
         directions_picture(btf, folder / "directions.png"),
     ]
     return [path for path in written if path is not None]
+
+
+def relief_picture(relief: Relief, path: Path) -> Path:
+    """Draw a relief: shaded from the upper left, its height, its normals, and how far they are trusted."""
+    light = torch.tensor([-0.5, 0.5, 0.707])
+    shaded = torch.einsum("chw,c->hw", relief.normal.float(), light / light.norm()).clamp(0, 1)
+    panels = [
+        ("shaded from the upper left", shaded.numpy(), "gray"),
+        ("height (texture widths)", relief.height[0].numpy(), "viridis"),
+        ("normal (x, y, z as colour)", (relief.normal * 0.5 + 0.5).clamp(0, 1).permute(1, 2, 0).numpy(), None),
+    ]
+    if relief.confidence is not None:
+        panels.append(("confidence", relief.confidence[0].numpy(), "viridis"))
+    figure, axes = _pyplot().subplots(1, len(panels), figsize=(4 * len(panels), 3.6))
+    for axis, (title, picture, colours) in zip(axes, panels, strict=True):
+        drawn = axis.imshow(picture, cmap=colours, interpolation="nearest")
+        axis.set_title(title, fontsize=9)
+        axis.set_axis_off()
+        if colours == "viridis":
+            figure.colorbar(drawn, ax=axis, shrink=0.8)
+    return _save(figure, path)

@@ -1,0 +1,49 @@
+"""Print the results as the tables that the README shows: ``python scripts/bench/tables.py``."""
+
+from __future__ import annotations
+
+import json
+
+from measure import RESULTS
+
+from torchmat.report.tables import number, text_table
+
+
+def _rows(name: str) -> list[dict]:
+    path = RESULTS / f"{name}.json"
+    return json.loads(path.read_text(encoding="utf-8"))["rows"] if path.is_file() else []
+
+
+def _timing(value: dict) -> str:
+    return f"{number(value['seconds'])} ± {number(value['spread'] / 2)}"
+
+
+def accuracy() -> None:
+    """Print one table a data set: error beside bytes and seconds."""
+    rows = _rows("accuracy")
+    for data in dict.fromkeys(row["data"] for row in rows):
+        mine = [row for row in rows if row["data"] == data]
+        cells = [
+            [row["model"], row["bytes_per_texel"], row["shared_bytes"], _timing(row["fit"]), row["train_relative_error"],
+             row["held_out_relative_error"], f"{row['held_out_psnr_db']:.1f}", row["held_out_after_export_relative_error"]]
+            for row in mine
+        ]
+        head = ("model", "bytes/texel", "+ shared", "fit (s)", "seen", "unseen", "unseen (dB)", "after export")
+        print(f"\n### {data} ({mine[0]['samples']} images of {mine[0]['texels']} texels, {mine[0]['seeds']} splits)\n")
+        print(text_table(head, cells))
+
+
+def others() -> None:
+    """Print every other suite as it is."""
+    for name in ("pipeline", "loading", "shading", "large", "start_up"):
+        rows = _rows(name)
+        if not rows:
+            continue
+        head = [key for key in rows[0] if key != "runs"]
+        print(f"\n### {name}\n")
+        print(text_table(head, [[_timing(row[k]) if isinstance(row[k], dict) else row[k] for k in head] for row in rows]))
+
+
+if __name__ == "__main__":
+    accuracy()
+    others()

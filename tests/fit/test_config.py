@@ -1,0 +1,73 @@
+"""The TOML config and its overrides."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from torchmat import DataError, RangeError, load_config
+from torchmat.fit import FITTERS, default_options
+
+CONFIGS = Path(__file__).resolve().parents[2] / "configs"
+
+
+def write(folder, text, encoding="utf-8"):
+    path = folder / "fit me ü.toml"
+    path.write_bytes(text.encode(encoding))
+    return path
+
+
+@pytest.mark.parametrize("path", sorted(CONFIGS.glob("*.toml")), ids=lambda path: path.stem)
+def test_the_shipped_configs_load(path):
+    assert load_config(path).model in FITTERS
+
+
+def test_windows_line_ends_and_a_byte_order_mark(tmp_path):
+    config = load_config(write(tmp_path, 'model = "hsh"\r\n[options]\r\nterms = 16\r\n', "utf-8-sig"))
+    assert config.options == {"terms": 16}
+
+
+def test_overrides_reach_into_tables(tmp_path):
+    path = write(tmp_path, 'model = "phong_srf"\nseed = 1\n')
+    config = load_config(path, ["options.residual=half_light", 'options.base="phong"', "seed = 5", "data.crop=[0,0,2,2]"])
+    assert config.options == {"residual": "half_light", "base": "phong"}
+    assert config.seed == 5 and config.data == {"crop": [0, 0, 2, 2]}
+
+
+@pytest.mark.parametrize(("text", "overrides", "said"), [
+    ('modle = "hsh"', [], "Did you mean 'model'"),
+    ('model = "hsh"\n[options]\ntrems = 4', [], "Did you mean 'terms'"),
+    ('model = "hsh"\n[data]\nencodings = "srgb"', [], "Did you mean 'encoding'"),
+    ("model = 3", [], "model must be a str"),
+    ("seed = true", [], "seed must be a int"),
+    ("seed = 1.5", [], "seed must be a int"),
+    ('model = "hsh"', ["options.terms=many"], "terms must be a whole number"),
+    ('model = "hsh"', ["terms"], "KEY=VALUE"),
+    ('model = "hsh"', ["=4"], "KEY=VALUE"),
+    ('model = "hsh"', ["model.x=4"], "model is a value"),
+    ('model = "hsh"', ["holdout_by=lite"], "Did you mean 'light'"),
+    ('model = "hsh"', ["holdout=1.5"], "lie in"),
+    ('model = "hsh"', ["options=3"], "options must be a dict"),
+])
+def test_what_is_not_understood_is_refused(text, overrides, said, tmp_path):
+    with pytest.raises(RangeError, match=said):
+        load_config(write(tmp_path, text), overrides)
+
+
+@pytest.mark.parametrize("content", [b"model = ", b"\xff\xfe\x00", b"model = 'a'\nmodel = 'b'"])
+def test_what_is_no_toml_names_the_file(content, tmp_path):
+    path = tmp_path / "broken.toml"
+    path.write_bytes(content)
+    with pytest.raises(DataError, match=r"broken\.toml: the config must be TOML"):
+        load_config(path)
+
+
+def test_a_missing_file_is_named(tmp_path):
+    with pytest.raises(DataError, match=r"nowhere\.toml: the config must be readable"):
+        load_config(tmp_path / "nowhere.toml")
+
+
+@pytest.mark.parametrize("model", FITTERS)
+def test_every_default_is_of_a_kind_that_can_be_checked(model):
+    assert all(type(value) in (int, float, str) for value in default_options(model).values())

@@ -1,0 +1,36 @@
+"""Products that do not depend on the number of threads."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from support import assert_close
+
+from torchmat.fit.repeatable import add_product, one_thread, product
+
+SHAPES = [(7, 2000, 3), (3, 25000, 48), (9, 2000, 4000), (15, 600, 12288), (4, 130, 60001), (1, 5, 1)]
+
+
+@pytest.mark.parametrize("shape", SHAPES, ids=str)
+def test_one_and_two_threads_agree_to_the_bit(shape, dtype):
+    rank, rows, columns = shape
+    left, right = torch.randn(rows, rank, dtype=dtype), torch.randn(rows, columns, dtype=dtype)
+    before, found = torch.get_num_threads(), []
+    try:
+        for threads in (1, 2):
+            torch.set_num_threads(threads)
+            total = torch.ones(rank, columns, dtype=dtype)
+            add_product(total, left, right)
+            found.append((total, product(left.T, right)))
+    finally:
+        torch.set_num_threads(before)
+    assert torch.equal(found[0][0], found[1][0]) and torch.equal(found[0][1], found[1][1])
+    assert_close(found[0][0] - 1, left.double().T @ right.double(), 1e-4 if dtype == torch.float32 else 1e-12)
+
+
+def test_an_error_gives_the_threads_back():
+    before = torch.get_num_threads()
+    with pytest.raises(RuntimeError, match="shape"), one_thread():
+        assert torch.get_num_threads() == 1
+        torch.ones(2, 3) @ torch.ones(2, 3)
+    assert torch.get_num_threads() == before

@@ -1,0 +1,129 @@
+"""Folders that appear whole or not at all."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+
+import pytest
+
+from torchmat import DataError, atomic
+
+
+def write(folder, text):
+    (folder / "file.txt").write_text(text, encoding="utf-8")
+
+
+def content(folder):
+    return {path.name: path.read_text("utf-8") for path in folder.iterdir()}
+
+
+def build(target, text="new"):
+    with atomic.building(target) as folder:
+        write(folder, text)
+
+
+def dead_process():
+    process = subprocess.Popen([sys.executable, "-c", ""])
+    process.wait()
+    return process.pid
+
+
+NAMES = ["plain", "with spaces", "grün-мох-苔", "a [v2]*?", "-dash", "dot.ted"]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_folder_appears_and_is_replaced(name, tmp_path):
+    target = tmp_path / "deep" / name
+    build(target, "old")
+    assert content(target) == {"file.txt": "old"}
+    build(target, "new")
+    assert content(target) == {"file.txt": "new"}
+    assert [path.name for path in target.parent.iterdir()] == [name]
+
+
+def test_the_target_is_not_there_before_the_end(tmp_path):
+    with atomic.building(tmp_path / "out") as folder:
+        write(folder, "new")
+        assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("error", [ValueError, KeyboardInterrupt, DataError])
+def test_an_error_inside_leaves_the_old_and_no_rest(error, tmp_path):
+    target = tmp_path / "out"
+    build(target, "old")
+    with pytest.raises(error), atomic.building(target) as folder:
+        write(folder, "half")
+        raise error("stop")
+    assert content(target) == {"file.txt": "old"} and len(list(tmp_path.iterdir())) == 1
+
+
+def test_an_os_error_inside_names_the_folder(tmp_path):
+    target = tmp_path / "out"
+    build(target, "old")
+    with pytest.raises(DataError, match=r"out: the folder must be written whole.*No space.*untouched"):
+        with atomic.building(target):
+            raise OSError(28, "No space left on device")
+    assert content(target) == {"file.txt": "old"} and len(list(tmp_path.iterdir())) == 1
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_rests_of_dead_builders_are_swept_and_others_stay(name, tmp_path):
+    stale = tmp_path / f".{name}.building-{dead_process()}-abc"
+    alive = tmp_path / f".{name}.building-{os.getpid()}-abc"
+    other = tmp_path / f".other.building-{dead_process()}-abc"
+    for folder in (stale, alive, other):
+        folder.mkdir()
+        write(folder, "half")
+    build(tmp_path / name)
+    assert not stale.exists() and alive.exists() and other.exists()
+
+
+def test_without_an_exchange_the_old_is_moved_aside(tmp_path, monkeypatch):
+    monkeypatch.setattr(atomic, "_exchange", lambda first, second: False)
+    build(tmp_path / "out", "old")
+    build(tmp_path / "out", "new")
+    assert content(tmp_path / "out") == {"file.txt": "new"} and len(list(tmp_path.iterdir())) == 1
+
+
+def test_a_failing_second_rename_brings_the_old_back(tmp_path, monkeypatch):
+    build(tmp_path / "out", "old")
+    monkeypatch.setattr(atomic, "_exchange", lambda first, second: False)
+    rename = os.rename
+
+    def failing(source, target):
+        if str(target) == str(tmp_path / "out") and not str(source).endswith("-old"):
+            raise OSError(5, "Input/output error")
+        rename(source, target)
+
+    monkeypatch.setattr(os, "rename", failing)
+    with pytest.raises(DataError, match="written whole"):
+        build(tmp_path / "out", "new")
+    assert content(tmp_path / "out") == {"file.txt": "old"} and len(list(tmp_path.iterdir())) == 1
+
+
+def test_an_old_folder_set_aside_by_a_killed_builder_comes_back(tmp_path):
+    aside = tmp_path / f".out.building-{dead_process()}-abc-old"
+    aside.mkdir()
+    write(aside, "old")
+    with pytest.raises(RuntimeError), atomic.building(tmp_path / "out"):
+        raise RuntimeError("the new one fails as well")
+    assert content(tmp_path / "out") == {"file.txt": "old"} and len(list(tmp_path.iterdir())) == 1
+
+
+def test_a_link_stays_a_link(tmp_path):
+    (tmp_path / "disk").mkdir()
+    build(tmp_path / "disk" / "real", "old")
+    link = tmp_path / "link"
+    link.symlink_to(tmp_path / "disk" / "real")
+    build(link, "new")
+    assert link.is_symlink() and content(tmp_path / "disk" / "real") == {"file.txt": "new"}
+    assert len(list(tmp_path.iterdir())) == 2 and len(list((tmp_path / "disk").iterdir())) == 1
+
+
+def test_a_path_below_a_file_is_refused(tmp_path):
+    (tmp_path / "file").write_text("mine", encoding="utf-8")
+    with pytest.raises(DataError, match=r"file/out: the folder must be writable"):
+        build(tmp_path / "file" / "out")
+    assert (tmp_path / "file").read_text("utf-8") == "mine"

@@ -1,0 +1,64 @@
+"""Photographs of one view whose lights stand in a table of numbers or in a chrome ball, without any manifest."""
+
+from __future__ import annotations
+
+import warnings
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from torchmat.btf.decode import Decoder, resolve_encoding
+from torchmat.errors import DataError, ShapeError, message
+from torchmat.images import IMAGE_SUFFIXES, read_image
+
+
+def image_files(folder: str | Path) -> list[Path]:
+    """Return the image files of a folder, sorted by name; raises DataError when there are none."""
+    folder = Path(folder)
+    if not folder.is_dir():
+        raise DataError(message(str(folder), "the path", "be a folder of photographs", "it is none", "Check the spelling."))
+    found = sorted(path for path in folder.iterdir() if path.suffix.lower() in IMAGE_SUFFIXES)
+    if not found:
+        raise DataError(message(str(folder), "the folder", "hold photographs", "it holds none", "Check the spelling."))
+    return found
+
+
+def read_linear(path: str | Path, encoding: str = "auto") -> Tensor:
+    """Return one picture [3, H, W], float32, linear; grey becomes three equal channels, alpha is dropped."""
+    pixels = read_image(path)
+    colours = pixels.shape[2] - (pixels.shape[2] in (2, 4))
+    codes = np.ascontiguousarray(pixels[..., :colours].transpose(2, 0, 1))
+    decoder = Decoder(codes.dtype, resolve_encoding(encoding, codes.dtype), 1.0)
+    planes = decoder.into(codes, torch.empty(codes.shape))
+    return planes.expand(3, -1, -1).contiguous() if colours == 1 else planes[:3].contiguous()
+
+
+def read_photographs(folder: str | Path, encoding: str = "auto") -> Tensor:
+    """Return all pictures of a folder, in the order of their names, as [n, 3, H, W]; they must have one size."""
+    files = image_files(folder)
+    images = [read_linear(path, encoding) for path in files]
+    for path, image in zip(files, images, strict=True):
+        if image.shape != images[0].shape:
+            fact = f"it is {tuple(image.shape[1:])}, {files[0].name} is {tuple(images[0].shape[1:])}"
+            raise ShapeError(message(str(path), "the photograph", "have the size of the others", fact, "Crop them alike."))
+    return torch.stack(images)
+
+
+def read_lights(path: str | Path, images: int) -> Tensor:
+    """Return unit directions [n, 3] from a text file with one light a line, or one a column in three lines."""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of an empty file, which the check below names
+            table = np.loadtxt(path, ndmin=2, comments=("#", "%"))
+    except (OSError, ValueError) as error:
+        step = "Write x y z of one light a line, in the order of the photographs' names."
+        raise DataError(message(str(path), "the lights", "be a table of numbers", str(error), step)) from error
+    if table.shape[0] == 3 and table.shape[1] == images and images != 3:
+        table = table.T
+    length = np.linalg.norm(table, axis=1, keepdims=True)
+    if table.shape != (images, 3) or not np.isfinite(table).all() or (length == 0).any():
+        fact = f"it is {table.shape[0]} x {table.shape[1]} for {images} photographs"
+        raise DataError(message(str(path), "the table", "hold x y z for each photograph", fact, "One light a line."))
+    return torch.from_numpy(table / length).float()

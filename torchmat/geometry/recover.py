@@ -1,0 +1,78 @@
+"""Relief without a BTF: from a few photographs under known lights, or from one picture."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torchmat.errors import RangeError, ShapeError, check_finite, message
+from torchmat.geometry.integrate import frankot_chellappa, poisson
+from torchmat.geometry.normals import normals_from_height, slopes_from_normals
+from torchmat.geometry.photometric_stereo import photometric_stereo
+
+INTEGRATIONS = ("fourier", "poisson")
+_DARK = 0.2  # of the bright texels' albedo: below it slopes are trusted less
+_LUMINANCE = (0.2126, 0.7152, 0.0722)  # Rec. 709
+
+
+class Relief(NamedTuple):
+    """The shape of a surface.
+
+    `height` [1, H, W] in texture widths with mean 0; unit `normal` [3, H, W]; `albedo` [3, H, W] and `confidence`
+    [1, H, W] where photographs gave them, else None.
+    """
+
+    height: Tensor
+    normal: Tensor
+    albedo: Tensor | None = None
+    confidence: Tensor | None = None
+
+
+def relief_from_photographs(
+    images: Tensor, light: Tensor, weight: Tensor | None = None, tiles: bool = False, integration: str = "poisson"
+) -> Relief:
+    """Return the relief that photographs of one view under known lights show.
+
+    `images` [n, 3, H, W] linear, `light` [n, 3] unit, `weight` [n, 1, H, W] in [0, 1]. Normals by robust photometric
+    stereo; the height by weighted least squares, trusting each texel as far as its confidence and brightness ("poisson"), or in one
+    step by Fourier transform ("fourier"). One view fixes the scale of the slopes but no offset: the mean height is 0.
+    """
+    if integration not in INTEGRATIONS:
+        fact = f"it is {integration!r}"
+        raise RangeError(message("relief_from_photographs", "integration", f"be one of {INTEGRATIONS}", fact))
+    found = photometric_stereo(images, light, weight)
+    slopes = slopes_from_normals(found.normal)
+    if integration == "poisson" and bool((found.confidence > 0).any()):
+        height = poisson(slopes, found.confidence * _signal(found.albedo), tiles)
+    else:
+        height = frankot_chellappa(slopes, tiles)
+    return Relief(height, found.normal, found.albedo, found.confidence)
+
+
+def _signal(albedo: Tensor) -> Tensor:
+    """Return how far above its noise each texel stands, [1, H, W] in [0, 1]: a dark background has slopes of noise."""
+    grey = albedo.mean(dim=0, keepdim=True)
+    bright = torch.sort(grey.flatten()).values[int(0.9 * (grey.numel() - 1))].clamp(min=1e-12)
+    return (grey / (_DARK * bright)).clamp(max=1) ** 2
+
+
+def relief_from_picture(
+    picture: Tensor, height_scale: float = 0.05, normal_strength: float = 1.0, tiles: bool = True
+) -> Relief:
+    """Return the relief that takes the luminance of one `picture` [3, H, W] (display values, 0 to 1) for its height.
+
+    What an artist does for want of measurements (Liao 2011, section 3.3.1): dark is low. `height_scale` is the height
+    of white in texture widths; normals are the Sobel ones of the unscaled luminance with `normal_strength`.
+    """
+    if picture.ndim != 3 or picture.shape[0] != 3:
+        raise ShapeError(message("relief_from_picture", "picture", "be [3, H, W]", f"it is {tuple(picture.shape)}"))
+    check_finite("relief_from_picture", "picture", picture)
+    if not 0 <= height_scale < 10:
+        fact = f"it is {height_scale}"
+        step = "It is the height of white divided by the width of the texture."
+        raise RangeError(message("relief_from_picture", "height_scale", "lie in [0, 10) texture widths", fact, step))
+    grey = torch.einsum("chw,c->hw", picture, torch.tensor(_LUMINANCE, dtype=picture.dtype))[None]
+    height = grey * height_scale
+    return Relief(height - height.mean(), normals_from_height(grey, normal_strength, tiles))

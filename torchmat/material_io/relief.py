@@ -1,0 +1,77 @@
+"""Height and normals as textures for other programs: 16-bit or float, both conventions of the green channel."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from torchmat import atomic
+from torchmat.errors import DataError, check_option, message
+from torchmat.geometry import Relief
+from torchmat.geometry.normals import flip_green
+from torchmat.images import write_image
+
+DEPTHS = ("16", "float")
+_FILES = (
+    "relief.json", "height.png", "height.exr", "normal_gl.png", "normal_gl.exr", "normal_dx.png", "normal_dx.exr",
+    "albedo.exr", "confidence.png", "relief.png",
+)
+
+
+def _codes(planes: Tensor, low: float, high: float) -> np.ndarray:
+    """Return 16-bit codes [H, W, C] of planes whose values span low..high."""
+    share = (planes.double() - low) / (high - low) if high > low else torch.zeros_like(planes, dtype=torch.float64)
+    return (share.clamp(0, 1) * 65535).round().permute(1, 2, 0).numpy().astype(np.uint16)
+
+
+def _floats(planes: Tensor) -> np.ndarray:
+    return planes.permute(1, 2, 0).numpy().astype(np.float32)
+
+
+def _refuse_foreign(target: Path) -> None:
+    present = sorted(path.name for path in target.iterdir()) if target.is_dir() else []
+    foreign = [name for name in present if name not in _FILES]
+    if foreign or target.is_file():
+        fact = f"it holds {foreign[0]!r}" if foreign else "it is a file"
+        step = "Choose another folder."
+        raise DataError(message(str(target), "the target", "be empty or hold an earlier relief", fact, step))
+
+
+def save_relief(
+    relief: Relief, folder: str | Path, depth: str = "16", provenance: dict[str, Any] | None = None,
+    companions: Callable[[Path], None] | None = None,
+) -> Path:
+    """Write a relief as textures that appear whole or not at all; return the folder.
+
+    `depth` "16" writes PNG codes, "float" EXR. `normal_gl` has green up the texture, `normal_dx` down; normals map
+    -1..1 to the codes. `relief.json` states the height's range in texture widths. `companions` may write more.
+    """
+    check_option("save_relief", "depth", depth, DEPTHS)
+    target = Path(folder)
+    _refuse_foreign(target)
+    low, high = float(relief.height.min()), float(relief.height.max())
+    normals = {"normal_gl": relief.normal, "normal_dx": flip_green(relief.normal)}
+    with atomic.building(target) as building:
+        if depth == "16":
+            write_image(building / "height.png", _codes(relief.height, low, high))
+            for name, normal in normals.items():
+                write_image(building / f"{name}.png", _codes(normal, -1.0, 1.0))
+        else:
+            write_image(building / "height.exr", _floats(relief.height))
+            for name, normal in normals.items():
+                write_image(building / f"{name}.exr", _floats(normal))
+        if relief.albedo is not None:
+            write_image(building / "albedo.exr", _floats(relief.albedo))
+        if relief.confidence is not None:
+            write_image(building / "confidence.png", _codes(relief.confidence, 0.0, 1.0))
+        described = {"height_low": low, "height_high": high, "unit": "texture widths", "provenance": provenance or {}}
+        (building / "relief.json").write_text(json.dumps(described, indent=1), encoding="utf-8")
+        if companions is not None:
+            companions(building)
+    return target
