@@ -6,6 +6,7 @@ from collections.abc import Iterable, Iterator
 from typing import TypeVar
 
 Item = TypeVar("Item")
+_DELAY = 0.5  # seconds: what is over sooner needs no bar
 
 
 def progress(items: Iterable[Item], what: str, total: int | None = None, show: bool | None = None) -> Iterator[Item]:
@@ -13,4 +14,4 @@ def progress(items: Iterable[Item], what: str, total: int | None = None, show: b
     from tqdm import tqdm
 
     disable = None if show is None else not show
-    return iter(tqdm(items, desc=what, total=total, disable=disable, leave=False, dynamic_ncols=True))
+    return iter(tqdm(items, desc=what, total=total, disable=disable, leave=False, dynamic_ncols=True, delay=_DELAY))

@@ -242,11 +242,13 @@ class Btf:
         table = torch.tensor([1.0, self.clipped_weight, 0.0])
         return table[torch.from_numpy(flags.astype(np.int64))][:, None]
 
-    def blocks(self, wanted: Tensor | None = None, dtype: torch.dtype = torch.float32) -> Iterator[Block]:
+    def blocks(
+        self, wanted: Tensor | None = None, dtype: torch.dtype = torch.float32, progress: bool | None = False
+    ) -> Iterator[Block]:
         """Stream all samples in their stored order, a run at a time.
 
         `wanted`, bool [sample], skips runs that hold none of the wanted samples; other runs come whole, since reading
-        in order is faster than picking.
+        in order is faster than picking. `progress` None shows a bar on a terminal.
         """
         flagged = self._reduced()
 
@@ -255,7 +257,7 @@ class Btf:
                 return None
             return self._to_weight(self._store.flags[run.start : run.stop])
 
-        return stream_blocks(self._store, self._decoder, weigh, wanted, dtype)
+        return stream_blocks(self._store, self._decoder, weigh, wanted, dtype, progress)
 
     def weight_blocks(self, wanted: Tensor | None = None) -> Iterator[tuple[range, Tensor]]:
         """Stream the weights [k, 1, H, W] of just those runs of samples in which some weight is below 1."""

@@ -11,6 +11,7 @@ from torch import Tensor
 
 from torchmat.btf.decode import Decoder
 from torchmat.btf.store import PixelStore
+from torchmat.progress import progress
 
 BLOCK_VALUES = 8_000_000  # values of one decoded block: 32 MB in float32, small beside any BTF worth streaming
 
@@ -37,16 +38,16 @@ def runs(store: PixelStore, wanted: Tensor | None) -> list[range]:
 
 def stream_blocks(
     store: PixelStore, decoder: Decoder, weigh: Callable[[range], Tensor | None], wanted: Tensor | None,
-    dtype: torch.dtype,
+    dtype: torch.dtype, show: bool | None,
 ) -> Iterator[Block]:
-    """Yield the blocks of `store` in order; `weigh` gives the weights of a run.
+    """Yield the blocks of `store` in order; `weigh` gives the weights of a run; `show` as in `progress`.
 
     Mapped pages are dropped behind the pass, so memory stays bounded. Decoding uses all cores as it is: a thread that
     decodes ahead was measured to take a third longer, since both then fight for them.
     """
     order = runs(store, wanted)
     buffer = torch.empty(max(map(len, order), default=0), *store.pixels.shape[1:], dtype=dtype)
-    for run in order:
+    for run in progress(order, "reading images", show=show):
         codes = np.ascontiguousarray(store.pixels[run.start : run.stop])
         yield Block(run, decoder.into(codes, buffer[: len(run)]), weigh(run))
         store.release(run)

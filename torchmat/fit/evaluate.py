@@ -12,6 +12,7 @@ from torch import Tensor
 from torchmat.btf import Btf
 from torchmat.metrics import SampleErrors
 from torchmat.models import Material
+from torchmat.progress import progress as progress_bar
 
 BAND_DEG = 15
 PERCEPTUAL_SAMPLES = 256  # SSIM and CIEDE2000 cost far more than the rest; an even choice of samples is enough
@@ -33,7 +34,9 @@ def predict(material: Material, btf: Btf, indices: Tensor) -> Tensor:
         return material.shade(light[:, :, None, None], view[:, :, None, None])
 
 
-def evaluate(material: Material, btf: Btf, indices: Tensor, most: int | None = None) -> Evaluation:
+def evaluate(
+    material: Material, btf: Btf, indices: Tensor, most: int | None = None, progress: bool | None = False
+) -> Evaluation:
     """Measure `material` against samples `indices` of `btf` (at most `most`, evenly chosen)."""
     if most is not None and len(indices) > most:
         indices = indices[torch.linspace(0, len(indices) - 1, most).round().long()]
@@ -41,7 +44,8 @@ def evaluate(material: Material, btf: Btf, indices: Tensor, most: int | None = N
     perceptual[torch.linspace(0, len(indices) - 1, min(len(indices), PERCEPTUAL_SAMPLES)).round().long()] = True
     errors = SampleErrors()
     batch = max(1, _VALUES // (3 * btf.height * btf.width))
-    for part in torch.arange(len(indices)).split(batch):
+    parts = torch.arange(len(indices)).split(batch)
+    for part in progress_bar(parts, "measuring", show=progress):
         rows = indices[part]
         prediction = predict(material, btf, rows)
         target = btf.images(rows, prediction.dtype)

@@ -72,7 +72,7 @@ def fit(
     with torch.no_grad():
         fitted = FITTERS[config.model](training, **chosen)
     seconds = time.perf_counter() - start
-    report, held_out = _report(btf, fitted.material, split) if measure else (dict.fromkeys(_PARTS), None)
+    report, held_out = _report(btf, fitted.material, split, progress) if measure else (dict.fromkeys(_PARTS), None)
     report = {
         "model": config.model, "options": chosen, "samples": len(btf), "texels": btf.height * btf.width,
         "seed": config.seed, "holdout": config.holdout, "holdout_by": config.holdout_by,
@@ -101,11 +101,13 @@ def _resolve(
     return FitConfig(**{**kept, **given, "options": {**base.options, **options}})
 
 
-def _report(btf: Btf, material: Material, split: Split) -> tuple[dict[str, Any], Evaluation | None]:
-    report: dict[str, Any] = {"train": evaluate(material, btf, split.train, _TRAIN_SAMPLES).report}
-    held_out = evaluate(material, btf, split.held_out) if len(split.held_out) else None
+def _report(
+    btf: Btf, material: Material, split: Split, progress: bool | None
+) -> tuple[dict[str, Any], Evaluation | None]:
+    report: dict[str, Any] = {"train": evaluate(material, btf, split.train, _TRAIN_SAMPLES, progress).report}
+    held_out = evaluate(material, btf, split.held_out, None, progress) if len(split.held_out) else None
     report["held_out"] = held_out.report if held_out else None
-    after = evaluate(material.as_exported(), btf, split.held_out).report if held_out else None
+    after = evaluate(material.as_exported(), btf, split.held_out, None, progress).report if held_out else None
     report["held_out_after_export"] = after
     return report, held_out
 

@@ -76,12 +76,14 @@ class Moments:
     means: Tensor
 
 
-def stream_moments(btf: Btf, design: Design, used: Tensor, dtype: torch.dtype = torch.float32) -> Moments:
+def stream_moments(
+    btf: Btf, design: Design, used: Tensor, dtype: torch.dtype = torch.float32, progress: bool | None = False
+) -> Moments:
     """Make the one pass over the images of `btf` that a linear fit needs."""
     basis = design.basis.to(dtype)
     total = torch.zeros(design.rank, 3 * btf.height * btf.width, dtype=dtype)
     means = torch.zeros(len(btf), 3, dtype=torch.float64)
-    for block in btf.blocks(used, dtype):
+    for block in btf.blocks(used, dtype, progress):
         rows = slice(block.samples.start, block.samples.stop)
         images = block.images
         if block.weight is None:

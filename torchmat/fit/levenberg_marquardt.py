@@ -64,7 +64,8 @@ def forward_jacobian(residual: Callable[[Tensor], Tensor]) -> Callable[[Tensor],
 
 
 def _cost(residuals: Tensor) -> Tensor:
-    return 0.5 * (residuals * residuals).sum(dim=1)
+    with one_thread():
+        return 0.5 * (residuals * residuals).sum(dim=1)
 
 
 def _bounds(start: Tensor, low: Tensor | None, high: Tensor | None) -> tuple[Tensor, Tensor]:
@@ -122,13 +123,33 @@ def levenberg_marquardt(
         raise FitError(message("levenberg_marquardt", "the start", "give finite residuals", "it does not", step))
     jacobian = jacobian or forward_jacobian(residual)
     history = [state.cost.clone()]
-    with one_thread():
-        for _ in range(max_steps):
-            if bool(state.done.all()):
-                break
-            _step(residual, jacobian, state, low, high, tolerance)
-            history.append(state.cost.clone())
+    for _ in range(max_steps):
+        if bool(state.done.all()):
+            break
+        _step(residual, jacobian, state, low, high, tolerance)
+        history.append(state.cost.clone())
     return Solution(state.parameters, state.cost, state.reasons(), torch.stack(history))
+
+
+def _propose(state: _State, jacobian: Tensor, low: Tensor, high: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Return each problem's next parameters, the decrease of cost they promise, and whether it has no finite step."""
+    normal = jacobian.transpose(1, 2) @ jacobian
+    gradient = torch.einsum("brp,br->bp", jacobian, state.residuals)
+    broken = ~(torch.isfinite(normal).all(dim=2).all(dim=1) & torch.isfinite(gradient).all(dim=1))
+    held = ((state.parameters <= low) & (gradient > 0)) | ((state.parameters >= high) & (gradient < 0))
+    held = held | broken[:, None]
+    gradient = torch.where(held, torch.zeros_like(gradient), gradient)
+    normal = torch.where(held[:, :, None] | held[:, None, :], torch.zeros_like(normal), normal)
+    # Scaled to columns of unit length before they are damped and solved: of 1e-6 and 1e6 no digits would be left.
+    state.scale = torch.maximum(state.scale, normal.diagonal(dim1=1, dim2=2).sqrt())
+    unit = torch.where(state.scale > 0, state.scale, torch.ones_like(state.scale))
+    damped = normal / unit[:, :, None] / unit[:, None, :]
+    damped = damped + state.damping[:, None, None] * torch.eye(normal.shape[-1], dtype=normal.dtype)
+    move = -torch.linalg.solve(damped, (gradient / unit)[..., None])[..., 0] / unit
+    candidate = torch.minimum(torch.maximum(state.parameters + move, low), high)
+    move = candidate - state.parameters
+    promised = -(gradient * move).sum(1) - 0.5 * torch.einsum("bp,bpq,bq->b", move, normal, move)
+    return candidate, promised, broken
 
 
 def _step(
@@ -136,30 +157,16 @@ def _step(
     high: Tensor, tolerance: float,
 ) -> None:
     jacobian = jacobian_of(state.parameters)
-    broken = ~torch.isfinite(jacobian).all(dim=2).all(dim=1)
-    jacobian = torch.where(broken[:, None, None], torch.zeros_like(jacobian), jacobian)
-    gradient = torch.einsum("brp,br->bp", jacobian, state.residuals)
-    held = ((state.parameters <= low) & (gradient > 0)) | ((state.parameters >= high) & (gradient < 0))
-    jacobian = torch.where(held[:, None, :], torch.zeros_like(jacobian), jacobian)
-    gradient = torch.where(held, torch.zeros_like(gradient), gradient)
-    # Columns are brought to unit length first: normal equations of columns 1e-6 and 1e6 have no digits left.
-    state.scale = torch.maximum(state.scale, jacobian.norm(dim=1))
-    unit = torch.where(state.scale > 0, state.scale, torch.ones_like(state.scale))
-    scaled = jacobian / unit[:, None, :]
-    normal = scaled.transpose(1, 2) @ scaled
-    damped = normal + state.damping[:, None, None] * torch.eye(normal.shape[-1], dtype=normal.dtype)
-    move = -torch.linalg.solve(damped, (gradient / unit)[..., None])[..., 0] / unit
-    candidate = torch.minimum(torch.maximum(state.parameters + move, low), high)
+    with one_thread():
+        candidate, promised, broken = _propose(state, jacobian, low, high)
     move = candidate - state.parameters
-
     residuals = residual(candidate)
     cost = _cost(residuals)
-    predicted = -(gradient * move).sum(1) - 0.5 * torch.einsum("brp,bp->br", jacobian, move).square().sum(1)
     finite = torch.isfinite(cost)
-    gain = torch.where(finite & (predicted > 0), (state.cost - cost) / predicted.clamp(min=1e-300), cost.new_tensor(-1.0))
+    gain = torch.where(finite & (promised > 0), (state.cost - cost) / promised.clamp(min=1e-300), cost.new_tensor(-1.0))
     better = finite & (cost < state.cost) & ~state.done
     floor = tolerance * state.cost + torch.finfo(cost.dtype).tiny
-    small_gain = (predicted.abs() <= floor) | (better & ((state.cost - cost) <= floor))
+    small_gain = (promised.abs() <= floor) | (better & ((state.cost - cost) <= floor))
     # Relative to the parameters, or for those near 0 to what would change the residuals at all.
     small_move = (move.abs() <= tolerance * (state.parameters.abs() + tolerance)).all(dim=1)
     stuck = ~better & (state.damping >= 1e14)

@@ -24,7 +24,7 @@ def design_of(training: Training, basis: str, ridge: float = 0.0) -> Design:
 
 def _solve(training: Training, basis: str) -> tuple[Design, Moments, LinearFit]:
     design = design_of(training, basis)
-    moments = stream_moments(training.btf, design, training.used, training.dtype)
+    moments = stream_moments(training.btf, design, training.used, training.dtype, training.progress)
     return design, moments, solve_texels(training.btf, design, moments, training.used)
 
 
@@ -79,7 +79,7 @@ def fit_lambert(training: Training, *, storage: str = "half") -> Fitted:
     """
     btf, used, dtype = training.btf, training.used, training.dtype
     design = make_design(btf.light.double(), used)
-    moments = stream_moments(btf, design, used, dtype)
+    moments = stream_moments(btf, design, used, dtype, training.progress)
     solved = solve_texels(btf, design, moments, used)
     normal = safe.normalise(_luminance(solved.coefficients, 1))
     up = torch.zeros(3, 1, 1, dtype=dtype)
@@ -97,7 +97,7 @@ def _albedo(training: Training, normal: Tensor) -> Tensor:
     light = torch.where(training.used[:, None], btf.light, torch.zeros(())).to(dtype)
     numerator = torch.zeros(3, flat.shape[1], dtype=dtype)
     denominator = torch.zeros(flat.shape[1], dtype=dtype)
-    for block in btf.blocks(training.used, dtype):
+    for block in btf.blocks(training.used, dtype, training.progress):
         shading = (light[block.samples.start : block.samples.stop] @ flat).clamp_(min=0)
         weighted = shading if block.weight is None else shading * block.weight[:, 0].flatten(1)
         # In place and plane by plane: einsum turns this into a product per texel, 50 times slower.

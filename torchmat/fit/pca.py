@@ -9,7 +9,7 @@ from torch import Tensor
 
 from torchmat import safe
 from torchmat.errors import FitError, RangeError, message
-from torchmat.fit.repeatable import one_thread, product
+from torchmat.fit.repeatable import add_product, one_thread, product
 from torchmat.fit.training import Fitted, Training
 from torchmat.models import LocalPca, Pca
 from torchmat.models.angular import projected
@@ -44,7 +44,7 @@ class _Images:
     def _texel_mean(self) -> Tensor:
         total = torch.zeros(3, self.training.btf.height, self.training.btf.width, dtype=torch.float64)
         weight = torch.zeros(1, *total.shape[1:], dtype=torch.float64)
-        for block in self.training.btf.blocks(self.training.used, self.training.dtype):
+        for block in self.training.btf.blocks(self.training.used, self.training.dtype, self.training.progress):
             used = self.training.used[block.samples.start : block.samples.stop, None, None, None]
             share = used * (torch.ones(1, 1, 1, 1) if block.weight is None else block.weight)
             total += (block.images * share).sum(dim=0)
@@ -53,7 +53,7 @@ class _Images:
 
     def _read(self):
         start = 0
-        for block in self.training.btf.blocks(self.training.used, self.training.dtype):
+        for block in self.training.btf.blocks(self.training.used, self.training.dtype, self.training.progress):
             used = self.training.used[block.samples.start : block.samples.stop]
             images = block.images
             if block.weight is not None:
@@ -93,8 +93,7 @@ def fit_pca(training: Training, *, components: int = 16, storage: str = "half") 
     def transposed(left: Tensor) -> Tensor:
         total = torch.zeros(width, left.shape[1], dtype=left.dtype)
         for rows, part in images.runs():
-            with one_thread():
-                total.addmm_(part.flatten(1).T, left[rows])
+            add_product(total, part.flatten(1), left[rows])
         return total
 
     rank = min(components + _OVERSAMPLING, count, width)
@@ -164,8 +163,7 @@ def fit_local_pca(
         total = torch.zeros(images.texels, right.shape[1], dtype=right.dtype)
         right = right.unflatten(0, (count, 3))
         for rows, part in images.runs():
-            with one_thread():
-                total.addmm_(part.flatten(0, 1).T, right[rows].flatten(0, 1))
+            add_product(total, part.flatten(0, 1), right[rows].flatten(0, 1))
         return total
 
     def transposed(left: Tensor) -> Tensor:  # left [texel, r] -> [3 sample, r]
@@ -176,8 +174,7 @@ def fit_local_pca(
     found, rest = _range_finder(times, transposed, 3 * count, rank, generator, training.dtype)
     left, singular, right = _thin_svd(rest)
     points = (product(found, left) * singular).double()
-    with one_thread():
-        label, means, bases = _cluster(points, clusters, components, generator)
+    label, means, bases = _cluster(points, clusters, components, generator)
     weight = torch.zeros(components, images.texels, dtype=torch.float64)
     for number in range(clusters):
         inside = label == number
@@ -197,7 +194,9 @@ def _subspace(points: Tensor, components: int) -> tuple[Tensor, Tensor]:
     """Return mean [d] and leading directions [components, d] of points [n, d]; missing directions are zero rows."""
     mean = points.mean(dim=0)
     centred = points - mean
-    values, vectors = torch.linalg.eigh(centred.T @ centred)
+    gram = product(centred.T, centred)
+    with one_thread():
+        values, vectors = torch.linalg.eigh(gram)
     basis = vectors.T.flip(0)[:components]
     known = values.flip(0)[:components] > values.max().clamp(min=1e-300) * 1e-12
     basis = basis * known[:, None]

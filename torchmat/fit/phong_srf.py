@@ -43,13 +43,9 @@ def fit_phong_srf(
     each other, which 8-bit textures cannot hold and unseen views do not forgive. 1e-4 costs the flat sample under one
     view 0.0016 of relative error and lets 8 bits hold it; on well-conditioned data it changes nothing.
     """
-    check_option("fit phong_srf", "residual", residual, RESIDUALS)
-    check_option("fit phong_srf", "phong", phong, PHONG_WAYS)
-    check_option("fit phong_srf", "base", base, LOBES)
-    if not 0 <= ridge < math.inf:
-        raise RangeError(message("fit phong_srf", "ridge", "be at least 0", f"it is {ridge}"))
+    _check_options(residual, phong, base, ridge)
     design = design_of(training, residual, ridge)
-    moments = stream_moments(training.btf, design, training.used, training.dtype)
+    moments = stream_moments(training.btf, design, training.used, training.dtype, training.progress)
     common = _common_texels(moments)
     if not bool(common.all()):
         moments = replace(moments, means=stream_means(training.btf, training.used, common, training.dtype))
@@ -73,12 +69,19 @@ def fit_phong_srf(
     return Fitted(material, reason, solved.coverage, figures)
 
 
+def _check_options(residual: str, phong: str, base: str, ridge: float) -> None:
+    check_option("fit phong_srf", "residual", residual, RESIDUALS)
+    check_option("fit phong_srf", "phong", phong, PHONG_WAYS)
+    check_option("fit phong_srf", "base", base, LOBES)
+    if not 0 <= ridge < math.inf:
+        raise RangeError(message("fit phong_srf", "ridge", "be at least 0 and finite", f"it is {ridge}"))
+
+
 def _common_texels(moments: Moments) -> Tensor:
     """Return which texels share the material's lobe, bool [H, W]: all, or all but a few far brighter ones."""
-    size = moments.product.double().square().sum(dim=(0, 1)).sqrt()
-    ordered = size.flatten().sort().values
-    rest = ordered[: len(ordered) - len(ordered) // _TRIMMED]
-    return size <= _OUTLYING * rest.mean()
+    size = moments.product.abs().amax(dim=(0, 1))
+    bound = size.flatten().kthvalue(size.numel() - size.numel() // _TRIMMED).values
+    return size <= _OUTLYING * size[size <= bound].double().mean()
 
 
 def _relative_error(training: Training, means: Tensor, lobe: Lobe, parameters: Tensor) -> float | None:

@@ -9,8 +9,9 @@ from torch import Tensor
 
 from torchmat.errors import RangeError, ShapeError, check_finite, message
 
-_TOLERANCE = 1e-7
-_MOST_STEPS = 400
+_TOLERANCE = 1e-5  # of the right-hand side's norm: far below what any slope is known to
+_MOST_STEPS = 200
+_TRACE = 1e-3  # of the largest weight, kept everywhere: it is what makes holes smooth, and the system solvable
 
 
 def _check(where: str, slopes: Tensor) -> None:
@@ -78,8 +79,9 @@ def poisson(slopes: Tensor, weight: Tensor | None = None, tiles: bool = True) ->
     if bool((trust < 0).any()) or not bool((trust > 0).any()):
         fact = "some are negative" if bool((trust < 0).any()) else "all are 0"
         raise RangeError(message("poisson", "weight", "be >= 0 and somewhere positive", fact))
-    trust = trust / trust.max() + 1e-6  # holes keep a trace: it is what makes them smooth
-    rise = slopes.double() / size[1]
+    # What a hole holds is no slope: there the surface is to be as flat as the rest allows.
+    rise = torch.where(trust > 0, slopes.double() / size[1], torch.zeros((), dtype=torch.float64))
+    trust = trust / trust.max() + _TRACE
     # Each edge takes the mean of its two texels' slopes, and the smaller trust.
     edge = torch.stack((rise[0] + rise[0].roll(-1, 1), rise[1] + rise[1].roll(1, 0))) / 2
     share = torch.stack((torch.minimum(trust, trust.roll(-1, 1)), torch.minimum(trust, trust.roll(1, 0))))

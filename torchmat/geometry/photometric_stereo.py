@@ -84,14 +84,14 @@ def _solve(grey: Tensor, light: Tensor, given: Tensor) -> tuple[Tensor, Tensor, 
         scaled = _normal_equations(weight, light, products, grey)
         predicted = light @ scaled
         residual = grey - predicted
-        brightness = scaled.norm(dim=0)
+        brightness = (scaled * scaled).sum(dim=0).sqrt()  # norm(dim=0) takes ten times as long
         spread = (1.4826 * residual.abs().median(dim=0).values).clamp(min=_LEAST_SPREAD * brightness + 1e-12)
         share = residual / (_WIDTH * spread)
         # A trace of weight stays, so that texels that are mostly shadow keep a solution.
         weight = given * (predicted > 0) * ((1 - share * share).clamp(min=0) ** 2 + 1e-4)
     information = torch.einsum("nt,nk->tk", weight, products).unflatten(1, (3, 3))
     confidence = (torch.linalg.eigvalsh(information)[:, 0] / full).clamp(0, 1)
-    lit = (scaled.norm(dim=0) > 1e-9) & (scaled[2] > 0)
+    lit = ((scaled * scaled).sum(dim=0) > 1e-18) & (scaled[2] > 0)
     up = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)[:, None]
     normal = torch.where(lit, safe.normalise(scaled, dim=0), up)
     return normal, weight, torch.where(lit, confidence, torch.zeros_like(confidence))[None]

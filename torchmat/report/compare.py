@@ -22,6 +22,7 @@ DEFAULT_MODELS = (
     "phong_srf:residual=half_light", "phong_srf:residual=quadratic", "phong_srf:base=ashikhmin_shirley",
     "pca:components=8", "pca:components=16", "local_pca",
 )
+_LEAST = 1e-9  # errors below are drawn there
 _FILES = ("comparison.json", "comparison.csv", "comparison.html", "error_against_bytes.png", "error_against_seconds.png")
 
 
@@ -76,13 +77,15 @@ def _row(report: dict[str, Any]) -> dict[str, Any]:
 
 def _scatter(rows: list[dict[str, Any]], column: str, label: str, path: Path) -> Path:
     figure, axis = _pyplot().subplots(figsize=(7.5, 4.6))
-    done = [row for row in rows if not row["failed"]]
+    # A perfect fit stands at the foot of the logarithmic axis; black data has no relative error.
+    known = [row for row in rows if row["relative_error"] is not None]
+    done = [(row[column], max(row["relative_error"], _LEAST), row["model"]) for row in known]
     best = float("inf")
-    for row in sorted(done, key=lambda row: (row[column], row["relative_error"])):
-        front = row["relative_error"] < best
-        best = min(best, row["relative_error"])
-        axis.plot(row[column], row["relative_error"], "o", color="C1" if front else "C0", markersize=7 if front else 5)
-        axis.annotate(row["model"], (row[column], row["relative_error"]), fontsize=7, xytext=(4, 3), textcoords="offset points")
+    for cost, error, model in sorted(done):
+        front = error < best
+        best = min(best, error)
+        axis.plot(cost, error, "o", color="C1" if front else "C0", markersize=7 if front else 5)
+        axis.annotate(model, (cost, error), fontsize=7, xytext=(4, 3), textcoords="offset points")
     axis.set_xscale("log")
     axis.set_yscale("log")
     axis.set_xlabel(label)
@@ -111,7 +114,7 @@ def write_comparison(rows: list[dict[str, Any]], folder: str | Path, title: str 
         (building / "comparison.json").write_text(to_json(rows), encoding="utf-8")
         write_csv(rows, building / "comparison.csv")
         pictures = []
-        if any(not row["failed"] for row in rows):
+        if any(row["relative_error"] is not None for row in rows):
             pictures = [
                 _scatter(rows, "bytes_per_texel", "bytes per texel", building / "error_against_bytes.png"),
                 _scatter(rows, "fit_seconds", "fit seconds", building / "error_against_seconds.png"),

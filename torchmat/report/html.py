@@ -45,7 +45,7 @@ def _page(title: str, body: list[str]) -> str:
 
 
 def _bands(report: dict[str, Any]) -> str:
-    part = report["held_out"] or report["train"]
+    part = report["held_out"] or report["train"] or {"by_angle": []}  # not measured: no rows
     rows = [
         [f"{row['angle']} {row['from_deg']}-{row['to_deg']}°", row["samples"], row["relative_error"], row["psnr_db"]]
         for row in part["by_angle"]

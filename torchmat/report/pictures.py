@@ -106,7 +106,8 @@ def angle_picture(result: FitResult, path: Path) -> Path:
         axis.set_xlabel("polar angle (degrees)")
         axis.set_xlim(0, 90)
         axis.grid(alpha=0.3)
-    axes[0].legend(fontsize=8)
+    if axes[0].lines:
+        axes[0].legend(fontsize=8)
     return _save(figure, path)
 
 
