@@ -127,3 +127,17 @@ def test_a_path_below_a_file_is_refused(tmp_path):
     with pytest.raises(DataError, match=r"file/out: the folder must be writable"):
         build(tmp_path / "file" / "out")
     assert (tmp_path / "file").read_text("utf-8") == "mine"
+
+
+def test_files_below_are_asked_for_by_their_relative_names(tmp_path):
+    (tmp_path / "sub").mkdir()
+    (tmp_path / "sub" / "mine.txt").write_text("mine")
+    (tmp_path / "ours.txt").write_text("ours")
+    asked = []
+    atomic.refuse_foreign(tmp_path, lambda name: asked.append(name) is None, "ours")
+    assert asked == ["ours.txt", "sub/mine.txt"]
+    with pytest.raises(DataError, match=r"1 of 2 files there are something else, first 'sub/mine\.txt'"):
+        atomic.refuse_foreign(tmp_path, lambda name: name == "ours.txt", "ours")
+    atomic.refuse_foreign(tmp_path / "absent", lambda name: False, "ours")
+    with pytest.raises(DataError, match="it is a file"):
+        atomic.refuse_foreign(tmp_path / "ours.txt", lambda name: True, "ours")

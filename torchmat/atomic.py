@@ -11,7 +11,7 @@ import os
 import shutil
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -84,6 +84,21 @@ def _install(built: Path, target: Path) -> None:
         os.rename(aside, target)
         raise
     shutil.rmtree(aside, ignore_errors=True)
+
+
+def refuse_foreign(target: Path, known: Callable[[str], bool], what: str) -> None:
+    """Raise DataError unless `target` is absent, or a folder of which `known` recognises every file.
+
+    `known` is asked for names relative to the folder, with forward slashes; `what` names what may stand there.
+    """
+    step = "Choose another folder, or move what is there."
+    if target.exists() and not target.is_dir():
+        raise DataError(message(str(target), "the target", "be a folder", "it is a file", step))
+    files = sorted(path.relative_to(target).as_posix() for path in target.rglob("*") if not path.is_dir())
+    foreign = [name for name in files if not known(name)]
+    if foreign:
+        fact = f"{len(foreign)} of {len(files)} files there are something else, first {foreign[0]!r}"
+        raise DataError(message(str(target), "the target", f"be empty or {what} and nothing else", fact, step))
 
 
 @contextmanager

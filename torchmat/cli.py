@@ -131,8 +131,8 @@ class Compare:
     """Folder or zip of images; `sample` is the one that ships with the package."""
     models: list[str] = field(default_factory=list)
     """Names, with options after a colon: ptm hsh:terms=16 phong_srf:residual=half_light (default: all families)."""
-    out: Path | None = None
-    """Folder for JSON, CSV, HTML and plots (default: only print)."""
+    out: Path | None = Path("comparison")
+    """Folder for JSON, CSV, HTML and plots; None only prints."""
     holdout: float = 0.2
     """Share of samples held out."""
     holdout_by: str = "pair"
@@ -212,9 +212,10 @@ class Geometry:
     read: Annotated[DataArguments, tyro.conf.arg(name="")] = field(default_factory=DataArguments)
 
     def run(self) -> None:
-        from torchmat.material_io.relief import save_relief
+        from torchmat.material_io.relief import check_target, save_relief
         from torchmat.report.pictures import relief_picture
 
+        check_target(self.out)  # before the work, not after it
         relief = self._recover()
         folder = save_relief(
             relief, self.out, self.depth, {"source": self.path}, lambda f: relief_picture(relief, f / "relief.png") and None

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -31,7 +30,6 @@ def _file_name(path: str | Path) -> str:
     return name
 
 
-@cache
 def _as_stored() -> ImageSpec:
     import OpenImageIO as oiio
 

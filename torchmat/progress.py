@@ -13,5 +13,5 @@ def progress(items: Iterable[Item], what: str, total: int | None = None, show: b
     """Iterate over `items` with a bar on standard error; `show` None means only on a terminal."""
     from tqdm import tqdm
 
-    disable = None if show is None else not show
-    return iter(tqdm(items, desc=what, total=total, disable=disable, leave=False, dynamic_ncols=True, delay=_DELAY))
+    disable, delay = (None, _DELAY) if show is None else (not show, 0.0)
+    return iter(tqdm(items, desc=what, total=total, disable=disable, leave=False, dynamic_ncols=True, delay=delay))

@@ -203,3 +203,16 @@ def test_a_highlight_of_1e4_leaves_the_dark_texels_their_fit(residual, way):
 def test_texels_of_like_brightness_all_share_the_lobe():
     images = flat(phong()) * np.random.default_rng(0).uniform(0.05, 1, (1, 1, HEIGHT, WIDTH))
     assert fitted(images).report["figures"]["texels_left_out_of_lobe"] == 0
+
+
+def test_axes_are_averaged_as_lines_not_as_numbers():
+    from torchmat.fit.phong_srf import _average
+    from torchmat.models.lobes import LOBES
+
+    lobe = LOBES["ashikhmin_shirley"]
+    parameters = torch.zeros(2, len(lobe.names), dtype=torch.float64)
+    parameters[:, :3] = torch.tensor([[0.2], [0.4]], dtype=torch.float64)
+    parameters[:, lobe.axis] = torch.tensor([math.radians(89), math.radians(-89)], dtype=torch.float64)
+    mean = _average(lobe, parameters)
+    assert mean[:3].tolist() == pytest.approx([0.3] * 3)
+    assert abs(math.degrees(float(mean[lobe.axis]))) == pytest.approx(90)

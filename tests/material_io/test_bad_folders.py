@@ -169,7 +169,7 @@ def test_a_file_that_leads_elsewhere_is_refused(folder, file):
 
 
 def test_a_material_there_is_replaced(folder):
-    (folder / "report.json").write_text("{}", encoding="utf-8")
+    save_material(material_of("half"), folder, companions=lambda new: (new / "report.json").write_text("{}") and None)
     save_material(material_of("half", seed=5), folder)
     assert torch.equal(load_material(folder).maps["normal"], material_of("half", seed=5).as_exported().maps["normal"])
     assert {path.name for path in folder.iterdir()} == {"manifest.json", "albedo.exr", "normal.exr"}
@@ -184,7 +184,7 @@ def test_an_empty_folder_is_taken(tmp_path):
 def test_a_material_with_a_file_of_the_users_is_left_alone(folder, name):
     (folder / name).write_text("mine", encoding="utf-8")
     before = snapshot(folder)
-    with pytest.raises(DataError, match="must hold nothing but a material") as error:
+    with pytest.raises(DataError, match="a material folder and nothing else") as error:
         save_material(material_of(seed=1), folder)
     assert name in str(error.value) and snapshot(folder) == before
     assert len(list(folder.parent.iterdir())) == 1

@@ -163,7 +163,16 @@ def _per_light(
     weight = torch.stack([(torch.arange(longest) < len(part)).double() for part in rows])[:, :, None]
     problem = _Problem(lobe, light[index], view[index], values[index], weight)
     solution = problem.solve(start[None].repeat(len(rows), 1), max_steps=40, tolerance=1e-6)
-    return solution.parameters.mean(dim=0), _overall(solution)
+    return _average(lobe, solution.parameters), _overall(solution)
+
+
+def _average(lobe: Lobe, parameters: Tensor) -> Tensor:
+    """Return the mean of parameters [light, P]; the angle of a line is averaged as a vector of twice the angle."""
+    mean = parameters.mean(dim=0)
+    if lobe.axis is not None:
+        twice = 2 * parameters[:, lobe.axis]
+        mean[lobe.axis] = torch.atan2(torch.sin(twice).mean(), torch.cos(twice).mean()) / 2
+    return mean
 
 
 def _overall(solution: Solution) -> str:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from fnmatch import fnmatch
 from pathlib import Path
 from typing import Any
 
@@ -26,8 +27,7 @@ FORMAT = "torchmat-material"
 VERSION = 1
 MANIFEST = "manifest.json"
 TRANSFERS = ("linear", "srgb")
-# What may stand in a material folder beside manifest and textures; replacing a folder that holds more is refused.
-COMPANIONS = ("report.json", "report.html", "pictures")
+RENDERS = "pictures/render_*"  # what `torchmat render` adds to a material folder; a fit may replace it
 CONVENTIONS = {
     "frame": "x right, y up (row 0 is the top row), z mean normal; right-handed; light and view away from the surface",
     "value": "pi * f_r * cos(light), linear RGB, Rec. 709 primaries; 0 for light or view at or below z = 0",
@@ -47,8 +47,19 @@ def _texture_entry(spec: MapSpec, file: str, codes: Codes) -> dict[str, Any]:
     return entry
 
 
-def write_material(material: Material, folder: Path, provenance: dict[str, Any] | None = None) -> None:
-    """Write manifest and textures into an existing folder, without any care for what is there; see `save_material`."""
+def _files(folder: Path) -> set[str]:
+    return {path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file()}
+
+
+def _write_manifest(folder: Path, manifest: dict[str, Any]) -> None:
+    (folder / MANIFEST).write_text(json.dumps(manifest, indent=1, ensure_ascii=False), encoding="utf-8")
+
+
+def write_material(material: Material, folder: Path, provenance: dict[str, Any] | None = None) -> dict[str, Any]:
+    """Write manifest and textures into an existing folder, whatever is there, and return the manifest.
+
+    `save_material` is what takes care.
+    """
     textures = []
     for spec, name, value, storage in material.textures():
         codes = encode(spec, value, storage)
@@ -64,34 +75,27 @@ def write_material(material: Material, folder: Path, provenance: dict[str, Any] 
         "shared_bytes": material.shared_bytes, "conventions": CONVENTIONS, "constants": constants,
         "textures": textures, "provenance": provenance or {},
     }
-    (folder / MANIFEST).write_text(json.dumps(manifest, indent=1, ensure_ascii=False), encoding="utf-8")
+    _write_manifest(folder, manifest)
+    return manifest
+
+
+def _known_files(target: Path) -> set[str]:
+    """Return the files that a material folder says are its own; none when it is no material folder."""
+    try:
+        manifest = json.loads((target / MANIFEST).read_text(encoding="utf-8-sig"))
+        if manifest["format"] != FORMAT:
+            return set()
+        return {MANIFEST, *(entry["file"] for entry in manifest["textures"]), *manifest.get("companions", ())}
+    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+        return set()
 
 
 def check_target(target: str | Path) -> None:
     """Raise DataError unless `target` may be replaced: absent, empty, or a material folder and nothing else."""
-    target = Path(target)
-    if not target.exists():
-        return
-    step = "Choose another folder, or move what is there."
-    if not target.is_dir():
-        raise DataError(message(str(target), "the target", "be a folder", "it is a file", step))
-    present = sorted(path.name for path in target.iterdir())
-    if not present:
-        return
-    known = {MANIFEST, *COMPANIONS}
-    try:
-        manifest = json.loads((target / MANIFEST).read_text(encoding="utf-8-sig"))
-        if manifest["format"] != FORMAT:
-            raise ValueError(manifest["format"])
-        known |= {entry["file"] for entry in manifest["textures"]}
-    except (OSError, ValueError, KeyError, TypeError):
-        raise DataError(
-            message(str(target), "the target", "be empty or a material folder", f"it holds {present[0]!r}", step)
-        ) from None
-    foreign = [name for name in present if name not in known]
-    if foreign:
-        fact = f"it also holds {len(foreign)} other files, first {foreign[0]!r}"
-        raise DataError(message(str(target), "the target", "hold nothing but a material", fact, step))
+    files = _known_files(Path(target))
+    atomic.refuse_foreign(
+        Path(target), lambda name: name in files or (bool(files) and fnmatch(name, RENDERS)), "a material folder"
+    )
 
 
 def save_material(
@@ -107,9 +111,12 @@ def save_material(
     target = Path(folder)
     check_target(target)
     with atomic.building(target) as building:
-        write_material(material, building, provenance)
+        manifest = write_material(material, building, provenance)
         if companions is not None:
+            before = _files(building)
             companions(building)
+            manifest["companions"] = sorted(_files(building) - before)
+            _write_manifest(building, manifest)
     return target
 
 

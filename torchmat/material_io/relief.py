@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from torchmat import atomic
-from torchmat.errors import DataError, check_option, message
+from torchmat.errors import check_option
 from torchmat.geometry import Relief
 from torchmat.geometry.normals import flip_green
 from torchmat.images import write_image
@@ -34,13 +34,9 @@ def _floats(planes: Tensor) -> np.ndarray:
     return planes.permute(1, 2, 0).numpy().astype(np.float32)
 
 
-def _refuse_foreign(target: Path) -> None:
-    present = sorted(path.name for path in target.iterdir()) if target.is_dir() else []
-    foreign = [name for name in present if name not in _FILES]
-    if foreign or target.is_file():
-        fact = f"it holds {foreign[0]!r}" if foreign else "it is a file"
-        step = "Choose another folder."
-        raise DataError(message(str(target), "the target", "be empty or hold an earlier relief", fact, step))
+def check_target(target: str | Path) -> None:
+    """Raise DataError unless `target` may be replaced: absent, empty, or an earlier relief and nothing else."""
+    atomic.refuse_foreign(Path(target), lambda name: name in _FILES, "an earlier relief")
 
 
 def save_relief(
@@ -54,7 +50,7 @@ def save_relief(
     """
     check_option("save_relief", "depth", depth, DEPTHS)
     target = Path(folder)
-    _refuse_foreign(target)
+    check_target(target)
     low, high = float(relief.height.min()), float(relief.height.max())
     normals = {"normal_gl": relief.normal, "normal_dx": flip_green(relief.normal)}
     with atomic.building(target) as building:

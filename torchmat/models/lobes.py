@@ -23,7 +23,8 @@ class Lobe(NamedTuple):
 
     `evaluate(parameters [..., P], light, view)` takes planes [..., 3, h, w] and returns [..., 3, h, w]; parameters
     without leading dimensions serve every image. `jacobian`, where a formula is at hand, gives [..., 3, P] for
-    directions [..., 3, 1, 1]; None leaves it to differentiation.
+    directions [..., 3, 1, 1]; None leaves it to differentiation. `axis` is the number of the parameter that is the angle
+    of a line, the same after half a turn.
     """
 
     names: tuple[str, ...]
@@ -32,6 +33,7 @@ class Lobe(NamedTuple):
     starts: tuple[tuple[float, ...], ...]
     evaluate: Callable[[Tensor, Tensor, Tensor], Tensor]
     jacobian: Callable[[Tensor, Tensor, Tensor], Tensor] | None = None
+    axis: int | None = None
 
 
 def _column(parameters: Tensor, first: int, count: int) -> Tensor:
@@ -111,5 +113,6 @@ LOBES: dict[str, Lobe] = {
             for ratio, axis in ((1.0, 0.0), (3.0, 0.0), (3.0, math.pi / 4), (3.0, math.pi / 2), (3.0, -math.pi / 4))
         ),
         _ashikhmin_shirley,
+        axis=8,
     ),
 }

@@ -9,12 +9,12 @@ from typing import Any
 
 from torchmat import atomic
 from torchmat.btf import Btf
-from torchmat.errors import DataError, FitError, RangeError, message
+from torchmat.errors import FitError, RangeError, message
 from torchmat.fit import fit
 from torchmat.fit.registry import resolve_options
 from torchmat.progress import progress as progress_bar
 from torchmat.report.html import comparison_page
-from torchmat.report.pictures import _pyplot, _save
+from torchmat.report.pictures import plotting, save_figure
 from torchmat.report.tables import COMPARE_COLUMNS, to_json, write_csv
 
 DEFAULT_MODELS = (
@@ -76,7 +76,7 @@ def _row(report: dict[str, Any]) -> dict[str, Any]:
 
 
 def _scatter(rows: list[dict[str, Any]], column: str, label: str, path: Path) -> Path:
-    figure, axis = _pyplot().subplots(figsize=(7.5, 4.6))
+    figure, axis = plotting().subplots(figsize=(7.5, 4.6))
     # A perfect fit stands at the foot of the logarithmic axis; black data has no relative error.
     known = [row for row in rows if row["relative_error"] is not None]
     done = [(row[column], max(row["relative_error"], _LEAST), row["model"]) for row in known]
@@ -92,18 +92,12 @@ def _scatter(rows: list[dict[str, Any]], column: str, label: str, path: Path) ->
     axis.set_ylabel("relative error, held out")
     axis.set_title("orange: nothing cheaper is better", fontsize=8)
     axis.grid(alpha=0.3, which="both")
-    return _save(figure, path)
+    return save_figure(figure, path)
 
 
 def check_target(target: str | Path) -> None:
     """Raise DataError unless `target` may be replaced: absent, empty, or an earlier comparison and nothing else."""
-    target = Path(target)
-    present = sorted(path.name for path in target.iterdir()) if target.is_dir() else []
-    foreign = [name for name in present if name not in _FILES]
-    if foreign or target.is_file():
-        fact = f"it holds {foreign[0]!r}" if foreign else "it is a file"
-        step = "Choose another folder."
-        raise DataError(message(str(target), "the target", "be empty or an earlier comparison", fact, step))
+    atomic.refuse_foreign(Path(target), lambda name: name in _FILES, "an earlier comparison")
 
 
 def write_comparison(rows: list[dict[str, Any]], folder: str | Path, title: str = "Comparison of models") -> Path:

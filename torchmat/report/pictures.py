@@ -18,7 +18,8 @@ from torchmat.render import render
 DPI = 120
 
 
-def _pyplot():
+def plotting() -> Any:
+    """Return pyplot, imported on first use and drawing to files only."""
     import matplotlib
 
     matplotlib.use("Agg")
@@ -31,7 +32,8 @@ def _shown(image: Tensor) -> Any:
     return colour.display(image).permute(1, 2, 0).numpy()
 
 
-def _save(figure: Any, path: Path) -> Path:
+def save_figure(figure: Any, path: Path) -> Path:
+    """Write and close a figure; raises DataError, which names the file, when that fails."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         figure.savefig(path, dpi=DPI, bbox_inches="tight", metadata={"Software": None})
@@ -39,7 +41,7 @@ def _save(figure: Any, path: Path) -> Path:
         step = "Choose a name that ends in .png, in a folder that can be written to."
         raise DataError(message(str(path), "the picture", "be writable", str(error), step)) from error
     finally:
-        _pyplot().close(figure)
+        plotting().close(figure)
     return path
 
 
@@ -67,7 +69,7 @@ def _degrees(direction: Tensor) -> str:
 def comparison_picture(btf: Btf, result: FitResult, path: Path) -> Path:
     """Draw target | fit | signed difference (grey is none) for the telling samples."""
     rows = telling_samples(btf, result)
-    figure, axes = _pyplot().subplots(len(rows), 3, figsize=(9, 3.2 * len(rows)), squeeze=False)
+    figure, axes = plotting().subplots(len(rows), 3, figsize=(9, 3.2 * len(rows)), squeeze=False)
     for line, (why, sample) in zip(axes, rows, strict=True):
         target = btf.image(sample)
         fitted = predict(result.material, btf, torch.tensor([sample]))[0].to(target.dtype)
@@ -82,12 +84,12 @@ def comparison_picture(btf: Btf, result: FitResult, path: Path) -> Path:
             axis.imshow(picture, vmin=0, vmax=1, interpolation="nearest")
             axis.set_title(name, fontsize=8)
             axis.set_axis_off()
-    return _save(figure, path)
+    return save_figure(figure, path)
 
 
 def angle_picture(result: FitResult, path: Path) -> Path:
     """Plot relative error and PSNR against the polar angle of light and of view, for train and held-out samples."""
-    figure, axes = _pyplot().subplots(1, 2, figsize=(9, 3.4))
+    figure, axes = plotting().subplots(1, 2, figsize=(9, 3.4))
     styles = (("train", "--"), ("held_out", "-"))
     for which, style in styles:
         part = result.report[which]
@@ -108,36 +110,36 @@ def angle_picture(result: FitResult, path: Path) -> Path:
         axis.grid(alpha=0.3)
     if axes[0].lines:
         axes[0].legend(fontsize=8)
-    return _save(figure, path)
+    return save_figure(figure, path)
 
 
 def coverage_picture(result: FitResult, path: Path) -> Path | None:
     """Draw which share of its unknowns each texel's samples determine; None when the model has no such map."""
     if result.coverage is None:
         return None
-    figure, axis = _pyplot().subplots(figsize=(4.4, 3.6))
+    figure, axis = plotting().subplots(figsize=(4.4, 3.6))
     drawn = axis.imshow(result.coverage[0].numpy(), vmin=0, vmax=1, cmap="viridis", interpolation="nearest")
     axis.set_title("share of unknowns determined", fontsize=9)
     axis.set_axis_off()
     figure.colorbar(drawn)
-    return _save(figure, path)
+    return save_figure(figure, path)
 
 
 def sphere_picture(result: FitResult, path: Path, size: int = 384) -> Path:
     """Draw the material on a sphere under two lights, one picture each."""
     lights = ((-0.4, 0.5, 0.768), (0.85, 0.2, 0.487))
-    figure, axes = _pyplot().subplots(1, len(lights), figsize=(4 * len(lights), 4))
+    figure, axes = plotting().subplots(1, len(lights), figsize=(4 * len(lights), 4))
     for axis, light in zip(axes, lights, strict=True):
         picture = render(result.material, "sphere", [light], size=size, repeat=2.0)
         axis.imshow(_shown(picture))
         axis.set_title(f"light ({light[0]:g}, {light[1]:g}, {light[2]:g})", fontsize=8)
         axis.set_axis_off()
-    return _save(figure, path)
+    return save_figure(figure, path)
 
 
 def directions_picture(btf: Btf, path: Path) -> Path:
     """Draw where lights and views lie on the projected hemisphere, rings every 30 degrees."""
-    pyplot = _pyplot()
+    pyplot = plotting()
     figure, axes = pyplot.subplots(1, 2, figsize=(8, 4))
     for axis, name, directions in zip(axes, ("lights", "views"), (btf.lights, btf.views), strict=True):
         for polar in (30, 60, 90):
@@ -150,7 +152,7 @@ def directions_picture(btf: Btf, path: Path) -> Path:
         axis.set_aspect("equal")
         axis.set_xlabel("x")
         axis.set_ylabel("y")
-    return _save(figure, path)
+    return save_figure(figure, path)
 
 
 def write_pictures(btf: Btf, result: FitResult, folder: Path) -> list[Path]:
@@ -176,11 +178,11 @@ def relief_picture(relief: Relief, path: Path) -> Path:
     ]
     if relief.confidence is not None:
         panels.append(("confidence", relief.confidence[0].numpy(), "viridis"))
-    figure, axes = _pyplot().subplots(1, len(panels), figsize=(4 * len(panels), 3.6))
+    figure, axes = plotting().subplots(1, len(panels), figsize=(4 * len(panels), 3.6))
     for axis, (title, picture, colours) in zip(axes, panels, strict=True):
         drawn = axis.imshow(picture, cmap=colours, interpolation="nearest")
         axis.set_title(title, fontsize=9)
         axis.set_axis_off()
         if colours == "viridis":
             figure.colorbar(drawn, ax=axis, shrink=0.8)
-    return _save(figure, path)
+    return save_figure(figure, path)
