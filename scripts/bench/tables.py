@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from itertools import groupby
 
 from measure import RESULTS
 
@@ -35,13 +36,14 @@ def accuracy() -> None:
 
 def others() -> None:
     """Print every other suite as it is."""
-    for name in ("pipeline", "loading", "shading", "large", "start_up"):
-        rows = _rows(name)
-        if not rows:
-            continue
-        head = [key for key in rows[0] if key != "runs"]
-        print(f"\n### {name}\n")
-        print(text_table(head, [[_timing(row[k]) if isinstance(row[k], dict) else row[k] for k in head] for row in rows]))
+    for name in ("pipeline", "loading", "shading", "large", "start_up", "geometry"):
+        # Rows of one suite that measure different things stand in tables of their own.
+        for _, alike in groupby(_rows(name), key=tuple):
+            rows = list(alike)
+            head = [key for key in rows[0] if key != "runs"]
+            cells = [[_timing(row[key]) if isinstance(row[key], dict) else row[key] for key in head] for row in rows]
+            print(f"\n### {name}\n")
+            print(text_table(head, cells))
 
 
 if __name__ == "__main__":
