@@ -74,11 +74,6 @@ TEAL = (0.10, 0.28, 0.28)
 IVORY = (0.74, 0.65, 0.50)
 
 
-# --------------------------------------------------------------------------
-# The material
-# --------------------------------------------------------------------------
-
-
 def smoothstep(low: float, high: float, x: np.ndarray) -> np.ndarray:
     """Cubic step from 0 at ``low`` to 1 at ``high``."""
     t = np.clip((x - low) / (high - low), 0.0, 1.0)
@@ -210,11 +205,6 @@ def truth(tile: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
         "gloss_mask": texel_mean(tile["gloss"])[::-1],
     }
     return {name: np.ascontiguousarray(m, dtype=np.float32) for name, m in maps.items()}
-
-
-# --------------------------------------------------------------------------
-# The renderer
-# --------------------------------------------------------------------------
 
 
 def choose_variant() -> str:
@@ -394,11 +384,6 @@ def check_conventions(size: int = 64) -> None:
         expected = np.array([0.1, -0.15]) - height * v[:2] / v[2]
         if np.abs(found - expected).max() > 0.1 / size:
             raise RuntimeError(f"the spot is seen at {found}, not {expected}")
-
-
-# --------------------------------------------------------------------------
-# The files
-# --------------------------------------------------------------------------
 
 
 def encode(image: np.ndarray, level: int, folder: str) -> bytes:

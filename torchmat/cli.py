@@ -217,9 +217,11 @@ class Geometry:
 
         check_target(self.out)  # before the work, not after it
         relief = self._recover()
-        folder = save_relief(
-            relief, self.out, self.depth, {"source": self.path}, lambda f: relief_picture(relief, f / "relief.png") and None
-        )
+
+        def draw(building: Path) -> None:
+            relief_picture(relief, building / "relief.png")
+
+        folder = save_relief(relief, self.out, self.depth, {"source": self.path}, draw)
         for path in sorted(folder.iterdir()):
             print(f"relief     {path}")
 
@@ -257,7 +259,8 @@ class Geometry:
             step = "Give --circle COLUMN ROW RADIUS and one photograph of the ball for each light."
             raise RangeError(message(str(self.ball), "the ball", "be calibrated", fact, step))
         centre, radius = self.circle[:2], self.circle[2]
-        return lights_from_ball(torch.stack([find_highlight(ball, centre, radius) for ball in balls]), centre, radius).float()
+        highlights = torch.stack([find_highlight(ball, centre, radius) for ball in balls])
+        return lights_from_ball(highlights, centre, radius).float()
 
 
 _STYLE = (tyro.conf.FlagCreatePairsOff,)

@@ -40,7 +40,8 @@ def check_lights(where: str, light: Tensor, images: int) -> None:
     if images >= 3 and open_ones == 0:
         return
     x, y, z = vectors[:, 0].tolist()
-    fact = f"{images} lights span {3 - open_ones} of 3 directions; the normal along ({x:.2f}, {y:.2f}, {z:.2f}) stays undetermined"
+    along = f"({x:.2f}, {y:.2f}, {z:.2f})"
+    fact = f"{images} lights span {3 - open_ones} of 3 directions; the normal along {along} stays undetermined"
     step = "Add a photograph whose light is out of the others' plane."
     raise RangeError(message(where, "lights", "be at least 3 and not in one plane", fact, step))
 

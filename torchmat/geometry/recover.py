@@ -36,8 +36,9 @@ def relief_from_photographs(
     """Return the relief that photographs of one view under known lights show.
 
     `images` [n, 3, H, W] linear, `light` [n, 3] unit, `weight` [n, 1, H, W] in [0, 1]. Normals by robust photometric
-    stereo; the height by weighted least squares, trusting each texel as far as its confidence and brightness ("poisson"), or in one
-    step by Fourier transform ("fourier"). One view fixes the scale of the slopes but no offset: the mean height is 0.
+    stereo; the height by weighted least squares, trusting each texel as far as its confidence and brightness
+    ("poisson"), or in one step by Fourier transform ("fourier"). One view fixes the scale of the slopes but no offset:
+    the mean height is 0.
     """
     if integration not in INTEGRATIONS:
         fact = f"it is {integration!r}"
