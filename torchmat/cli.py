@@ -227,12 +227,12 @@ class Geometry:
 
     def _recover(self):
         from torchmat import colour
+        from torchmat.btf.listing import is_image
         from torchmat.btf.photographs import read_linear, read_photographs
         from torchmat.geometry import relief_from_photographs, relief_from_picture
-        from torchmat.images import IMAGE_SUFFIXES
 
         encoding = self.read.encoding or "auto"
-        if Path(self.path).is_file() and Path(self.path).suffix.lower() in IMAGE_SUFFIXES:
+        if Path(self.path).is_file() and is_image(self.path):
             picture = colour.display(read_linear(self.path, encoding))
             return relief_from_picture(picture, self.height_scale, self.normal_strength, self.tiles)
         if self.lights is not None or self.ball is not None:
@@ -240,7 +240,7 @@ class Geometry:
             light = self._given_lights(len(images))
         else:
             btf = self.read.load(self.path)
-            rows = ((btf.view_index == int(btf.views[:, 2].argmax())) & (btf.light[:, 2] > 0)).nonzero()[:, 0]
+            rows = ((btf.view_index == 0) & (btf.light[:, 2] > 0)).nonzero()[:, 0]  # views run from the pole outward
             images, light, weight = btf.images(rows), btf.light[rows], btf.weights(rows)
         return relief_from_photographs(images, light, weight, self.tiles, self.integration)
 

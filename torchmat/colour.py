@@ -23,6 +23,11 @@ def linear_to_srgb(image: Tensor) -> Tensor:
     return linear_rgb_to_rgb(image)
 
 
+def luminance(image: Tensor, dim: int = -3) -> Tensor:
+    """Return the Rec. 709 luminance of linear RGB that lies on dimension `dim`, without that dimension."""
+    return image.movedim(dim, -1) @ torch.tensor((0.2126, 0.7152, 0.0722), dtype=image.dtype)
+
+
 def display(image: Tensor) -> Tensor:
     """Clamp linear `image` [..., 3, H, W] to [0, 1] and encode it as sRGB, the form in which people see it."""
     return linear_to_srgb(image.clamp(0, 1))

@@ -64,8 +64,9 @@ def test_wrong_input_is_refused():
         relief_from_photographs(torch.ones(5, 3, 4, 4), torch.from_numpy(LIGHTS[:5]).float(), integration="magic")
     with pytest.raises(ShapeError, match="picture"):
         relief_from_picture(torch.zeros(1, 4, 4))
-    with pytest.raises(RangeError, match="texture widths"):
-        relief_from_picture(torch.zeros(3, 4, 4), height_scale=10.0)
+    for scale in (0.0, 10.0):
+        with pytest.raises(RangeError, match="texture widths"):
+            relief_from_picture(torch.zeros(3, 4, 4), height_scale=scale)
 
 
 def relief() -> Relief:
@@ -147,6 +148,12 @@ def test_photographs_of_different_sizes_name_the_file(tmp_path):
         read_photographs(tmp_path)
     with pytest.raises(DataError, match="folder"):
         read_photographs(tmp_path / "nowhere")
+
+
+def test_a_picture_of_many_channels_is_refused_not_cut(tmp_path):
+    write_image(tmp_path / "spectral.exr", np.zeros((4, 4, 6), np.float32))
+    with pytest.raises(ShapeError, match=r"spectral\.exr.*1 to 4 channels"):
+        read_photographs(tmp_path)
 
 
 @pytest.mark.parametrize("text", ["1 2\n3 4\n", "a b c\n", "0 0 0\n0 0 1\n", "nan 0 1\n0 0 1\n", ""])

@@ -10,8 +10,10 @@ import torch
 from torch import Tensor
 
 from torchmat.btf.decode import Decoder, resolve_encoding
+from torchmat.btf.listing import is_image
+from torchmat.btf.pixels import split_channels
 from torchmat.errors import DataError, ShapeError, message
-from torchmat.images import IMAGE_SUFFIXES, read_image
+from torchmat.images import read_image
 
 
 def image_files(folder: str | Path) -> list[Path]:
@@ -19,7 +21,7 @@ def image_files(folder: str | Path) -> list[Path]:
     folder = Path(folder)
     if not folder.is_dir():
         raise DataError(message(str(folder), "the path", "be a folder of photographs", "it is none", "Check the spelling."))
-    found = sorted(path for path in folder.iterdir() if path.suffix.lower() in IMAGE_SUFFIXES)
+    found = sorted(path for path in folder.iterdir() if is_image(path.name))
     if not found:
         raise DataError(message(str(folder), "the folder", "hold photographs", "it holds none", "Check the spelling."))
     return found
@@ -27,12 +29,9 @@ def image_files(folder: str | Path) -> list[Path]:
 
 def read_linear(path: str | Path, encoding: str = "auto") -> Tensor:
     """Return one picture [3, H, W], float32, linear; grey becomes three equal channels, alpha is dropped."""
-    pixels = read_image(path)
-    colours = pixels.shape[2] - (pixels.shape[2] in (2, 4))
-    codes = np.ascontiguousarray(pixels[..., :colours].transpose(2, 0, 1))
+    codes = np.ascontiguousarray(split_channels(read_image(path), str(path))[0])
     decoder = Decoder(codes.dtype, resolve_encoding(encoding, codes.dtype), 1.0)
-    planes = decoder.into(codes, torch.empty(codes.shape))
-    return planes.expand(3, -1, -1).contiguous() if colours == 1 else planes[:3].contiguous()
+    return decoder.into(codes, torch.empty(codes.shape))
 
 
 def read_photographs(folder: str | Path, encoding: str = "auto") -> Tensor:

@@ -34,6 +34,18 @@ class PixelOptions:
     encoding: str = "auto"
 
 
+def split_channels(pixels: np.ndarray, where: str) -> tuple[np.ndarray, np.ndarray | None]:
+    """Return colours [3, H, W], grey three times over, and alpha [H, W] or None, of pixels [H, W, C]."""
+    channels = pixels.shape[2]
+    if channels > 4:
+        step = "Save grey or RGB, with alpha or without."
+        raise ShapeError(message(where, "the image", "have 1 to 4 channels", f"it has {channels}", step))
+    colours = channels - (channels in (2, 4))  # a second or fourth channel is alpha
+    codes = pixels[..., :colours].transpose(2, 0, 1)
+    codes = np.repeat(codes, 3, axis=0) if colours == 1 else codes
+    return codes, pixels[..., colours] if colours < channels else None
+
+
 class Normaliser:
     """Brings one decoded file to codes [3, H, W] and flags [H, W], and refuses what does not fit the others."""
 
@@ -41,10 +53,8 @@ class Normaliser:
         self.shape, self.dtype = first.shape, first.dtype
         self.options = options
         self.decoder = Decoder(first.dtype, resolve_encoding(options.encoding, first.dtype), 1.0)
-        height, width, channels = first.shape
-        if channels > 4:
-            step = "Save grey or RGB, with alpha or without."
-            raise ShapeError(message(where, "the image", "have 1 to 4 channels", f"it has {channels}", step))
+        height, width = first.shape[:2]
+        split_channels(first, where)
         self.window = self._window(height, width, where)
         rows, columns = (axis.stop - axis.start for axis in self.window)
         factor = options.downscale
@@ -69,15 +79,11 @@ class Normaliser:
             fact = f"it is {pixels.shape} {pixels.dtype}, the first image is {self.shape} {self.dtype}"
             step = "Bring all images to one size, channel count and bit depth."
             raise ShapeError(message(where, "the image", "match the others", fact, step))
-        pixels = pixels[self.window]
-        colours = pixels.shape[2] - (pixels.shape[2] in (2, 4))  # a second or fourth channel is alpha
-        codes = pixels[..., :colours].transpose(2, 0, 1)
-        codes = np.repeat(codes, 3, axis=0) if colours == 1 else codes
+        codes, alpha = split_channels(pixels[self.window], where)
         flags = np.zeros(codes.shape[1:], dtype=np.uint8)
         if self.decoder.full_code is not None:
             flags[(codes == self.decoder.full_code).any(axis=0)] = CLIPPED
-        if colours < pixels.shape[2]:
-            alpha = pixels[..., colours]
+        if alpha is not None:
             # Turned round, so that an alpha of NaN counts as none.
             flags[~(alpha >= (0.5 if self.decoder.full_code is None else self.decoder.full_code / 2))] = INVALID
         if self.decoder.full_code is None:

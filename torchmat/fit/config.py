@@ -72,6 +72,14 @@ def load_config(path: str | Path, overrides: list[str] | None = None) -> FitConf
     return make_config(table, str(path))
 
 
+def parse_value(text: str) -> Any:
+    """Return the TOML value that `text` stands for; what is not TOML counts as a plain string."""
+    try:
+        return tomllib.loads(f"v = {text.strip()}")["v"]
+    except tomllib.TOMLDecodeError:
+        return text.strip()
+
+
 def _override(table: dict[str, Any], text: str) -> None:
     name, separator, value = text.partition("=")
     if not separator or not name.strip():
@@ -82,7 +90,4 @@ def _override(table: dict[str, Any], text: str) -> None:
         table = table.setdefault(parent, {})
         if not isinstance(table, dict):
             raise RangeError(message("--set", repr(text), "name a key inside a table", f"{parent} is a value"))
-    try:
-        table[key] = tomllib.loads(f"v = {value.strip()}")["v"]
-    except tomllib.TOMLDecodeError:
-        table[key] = value.strip()
+    table[key] = parse_value(value)

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
+from torchmat import frames
 from torchmat.btf import Btf
 from torchmat.metrics import SampleErrors
 from torchmat.models import Material
@@ -28,8 +29,7 @@ class Evaluation(NamedTuple):
 
 def predict(material: Material, btf: Btf, indices: Tensor) -> Tensor:
     """Return the material's images [k, 3, H, W] for chosen samples of `btf`."""
-    dtype = next(iter(material.maps.values())).dtype
-    light, view = btf.light[indices].to(dtype), btf.view[indices].to(dtype)
+    light, view = btf.light[indices].to(material.dtype), btf.view[indices].to(material.dtype)
     with torch.no_grad():
         return material.shade(light[:, :, None, None], view[:, :, None, None])
 
@@ -57,7 +57,7 @@ def evaluate(
 
 
 def _bands(errors: SampleErrors, direction: Tensor, which: str) -> list[dict[str, Any]]:
-    polar = torch.rad2deg(torch.acos(direction[:, 2].double().clamp(-1, 1)))
+    polar = torch.rad2deg(frames.to_polar(direction.double())[0])
     rows = []
     # Every sample is in one band: 90 degrees in the last above the horizon, lights below it in one of their own.
     for low, high in [(low, low + BAND_DEG) for low in range(0, 90, BAND_DEG)] + [(90, 180)]:
@@ -76,8 +76,7 @@ def shading_rate(material: Material) -> float:
     """Return million texels shaded a second, one light and view an image: the median of several runs."""
     light = torch.tensor([0.3, 0.2, math.sqrt(0.87)])[:, None, None]
     view = torch.tensor([-0.4, 0.1, math.sqrt(0.83)])[:, None, None]
-    dtype = next(iter(material.maps.values())).dtype
-    light, view = light.to(dtype), view.to(dtype)
+    light, view = light.to(material.dtype), view.to(material.dtype)
     seconds = []
     with torch.no_grad():
         for _ in range(6):

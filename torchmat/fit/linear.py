@@ -5,14 +5,15 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from torchmat import safe
+from torchmat import colour, safe
+from torchmat.errors import check_option
 from torchmat.fit.least_squares import Design, LinearFit, Moments, make_design, solve_texels, stream_moments
 from torchmat.fit.repeatable import product
 from torchmat.fit.training import Fitted, Training
 from torchmat.models import Hsh, Lambert, Lptm, Ptm, Texture
 from torchmat.models.bases import BASES
+from torchmat.models.linear import HSH_TERMS
 
-_LUMINANCE = (0.2126, 0.7152, 0.0722)  # Rec. 709
 
 
 def design_of(training: Training, basis: str, ridge: float = 0.0) -> Design:
@@ -43,17 +44,10 @@ def fit_ptm(training: Training, *, storage: str = "half") -> Fitted:
 
 def fit_hsh(training: Training, *, terms: int = 9, storage: str = "half") -> Fitted:
     """Least-squares hemispherical harmonics per texel and channel."""
-    basis = f"hsh{terms}"
-    if basis not in BASES:
-        Hsh({}, terms=terms)  # raises the error that names the choices
-    _, _, solved = _solve(training, basis)
+    check_option("fit hsh", "terms", terms, HSH_TERMS)
+    _, _, solved = _solve(training, f"hsh{terms}")
     maps = {"harmonic": solved.coefficients.flatten(0, 1)}
     return Fitted(Hsh(maps, terms=terms, storage=storage), coverage=solved.coverage)
-
-
-def _luminance(planes: Tensor, dim: int) -> Tensor:
-    weights = torch.tensor(_LUMINANCE, dtype=planes.dtype)
-    return (planes.movedim(dim, -1) @ weights)
 
 
 def fit_lptm(training: Training, *, storage: str = "half") -> Fitted:
@@ -62,10 +56,10 @@ def fit_lptm(training: Training, *, storage: str = "half") -> Fitted:
     The sum over samples is the product with the design's constant column, so one pass gives both.
     """
     design, moments, solved = _solve(training, "polynomial")
-    luminance = _luminance(solved.coefficients, 1)
+    luminance = colour.luminance(solved.coefficients, dim=1)
     ones = product(design.basis.T, training.used.double()).to(training.dtype)
     total = torch.einsum("r,rchw->chw", ones, moments.product).clamp(min=0)
-    brightness = _luminance(total, 0)
+    brightness = colour.luminance(total)
     grey = torch.ones_like(total)
     chroma = torch.where(brightness > 0, safe.divide(total, brightness), grey)
     maps = {"chroma": chroma, "luminance": luminance}
@@ -81,7 +75,7 @@ def fit_lambert(training: Training, *, storage: str = "half") -> Fitted:
     design = make_design(btf.light.double(), used)
     moments = stream_moments(btf, design, used, dtype, training.progress)
     solved = solve_texels(btf, design, moments, used)
-    normal = safe.normalise(_luminance(solved.coefficients, 1))
+    normal = safe.normalise(colour.luminance(solved.coefficients, dim=1))
     up = torch.zeros(3, 1, 1, dtype=dtype)
     up[2] = 1
     # A black texel, or one whose samples contradict each other, has no normal: it gets the surface's.

@@ -7,14 +7,14 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torchmat.errors import RangeError, ShapeError, check_finite, message
+from torchmat import colour
+from torchmat.errors import ShapeError, check_finite, check_option, message
 from torchmat.geometry.integrate import frankot_chellappa, poisson
-from torchmat.geometry.normals import normals_from_height, slopes_from_normals
+from torchmat.geometry.normals import check_height_scale, normals_from_height, slopes_from_normals
 from torchmat.geometry.photometric_stereo import photometric_stereo
 
 INTEGRATIONS = ("fourier", "poisson")
 _DARK = 0.2  # of the bright texels' albedo: below it slopes are trusted less
-_LUMINANCE = (0.2126, 0.7152, 0.0722)  # Rec. 709
 
 
 class Relief(NamedTuple):
@@ -40,9 +40,7 @@ def relief_from_photographs(
     ("poisson"), or in one step by Fourier transform ("fourier"). One view fixes the scale of the slopes but no offset:
     the mean height is 0.
     """
-    if integration not in INTEGRATIONS:
-        fact = f"it is {integration!r}"
-        raise RangeError(message("relief_from_photographs", "integration", f"be one of {INTEGRATIONS}", fact))
+    check_option("relief_from_photographs", "integration", integration, INTEGRATIONS)
     found = photometric_stereo(images, light, weight)
     slopes = slopes_from_normals(found.normal)
     if integration == "poisson" and bool((found.confidence > 0).any()):
@@ -70,10 +68,7 @@ def relief_from_picture(
     if picture.ndim != 3 or picture.shape[0] != 3:
         raise ShapeError(message("relief_from_picture", "picture", "be [3, H, W]", f"it is {tuple(picture.shape)}"))
     check_finite("relief_from_picture", "picture", picture)
-    if not 0 <= height_scale < 10:
-        fact = f"it is {height_scale}"
-        step = "It is the height of white divided by the width of the texture."
-        raise RangeError(message("relief_from_picture", "height_scale", "lie in [0, 10) texture widths", fact, step))
-    grey = torch.einsum("chw,c->hw", picture, torch.tensor(_LUMINANCE, dtype=picture.dtype))[None]
+    check_height_scale("relief_from_picture", height_scale)
+    grey = colour.luminance(picture)[None]
     height = grey * height_scale
     return Relief(height - height.mean(), normals_from_height(grey, normal_strength, tiles))

@@ -74,7 +74,7 @@ class Material(nn.Module):
                     raise ShapeError(message(self.name, spec.name, "have the size of the other maps", fact))
 
     def _check_dtype(self, name: str, dtype: torch.dtype) -> None:
-        wanted = next(iter(self.maps.values())).dtype
+        wanted = self.dtype
         if dtype != wanted:
             step = "Convert with .to(dtype); one call has one precision."
             raise RangeError(message(self.name, name, f"be {wanted} as the maps are", f"it is {dtype}", step))
@@ -95,6 +95,11 @@ class Material(nn.Module):
                 height, width = self.maps[spec.name].shape[-2:]
                 return height, width
         return 1, 1
+
+    @property
+    def dtype(self) -> torch.dtype:
+        """The precision of the maps: all have one."""
+        return next(iter(self.maps.values())).dtype
 
     @property
     def texels(self) -> int:

@@ -17,6 +17,8 @@ from torchmat.models.base import Material, combine
 from torchmat.models.bases import BASES
 from torchmat.models.storage import MapSpec
 
+HSH_TERMS = (4, 9, 16)
+
 
 class Texture(Material):
     """A colour per texel times the cosine of the light."""
@@ -83,7 +85,7 @@ class Hsh(Material):
     name = "hsh"
 
     def __init__(self, maps: Mapping[str, Tensor], *, terms: int = 9, **settings: Any) -> None:
-        check_option(self.name, "terms", terms, (4, 9, 16))
+        check_option(self.name, "terms", terms, HSH_TERMS)
         self._basis = BASES[f"hsh{int(terms)}"]
         super().__init__(maps, terms=terms, **settings)
 

@@ -110,11 +110,6 @@ def check_map(where: str, spec: MapSpec, value: Tensor) -> None:
         raise RangeError(message(where, spec.name, requirement, fact, "Correct the map; it is never clipped."))
 
 
-def _srgb(values: Tensor, to_linear: bool) -> Tensor:
-    convert = colour.srgb_to_linear if to_linear else colour.linear_to_srgb
-    return convert(values)
-
-
 def encode(spec: MapSpec, value: Tensor, storage: str) -> Codes:
     """Return the codes of one texture [C, H, W] of map `spec`.
 
@@ -143,7 +138,7 @@ def encode(spec: MapSpec, value: Tensor, storage: str) -> Codes:
     width = torch.where(high > low, high - low, torch.ones_like(low))
     share = (planes - low[:, None, None]) / width[:, None, None]
     if transfer == "srgb":
-        share = _srgb(share, to_linear=False)
+        share = colour.linear_to_srgb(share)
     codes = (share * kind.levels).round().clamp(0, kind.levels)  # the clamp meets rounding errors of 1e-16 only
     return Codes(codes.permute(1, 2, 0).numpy().astype(kind.dtype), tuple(low.tolist()), tuple(high.tolist()), transfer)
 
@@ -163,7 +158,7 @@ def decode(codes: Codes) -> Tensor:
         return torch.from_numpy(np.ascontiguousarray(pixels.transpose(2, 0, 1)).astype(np.float32))
     share = torch.from_numpy(pixels.transpose(2, 0, 1).astype(np.float64) / np.iinfo(pixels.dtype).max)
     if codes.transfer == "srgb":
-        share = _srgb(share, to_linear=True)
+        share = colour.srgb_to_linear(share)
     low = torch.tensor(codes.low, dtype=torch.float64)[:, None, None]
     high = torch.tensor(codes.high, dtype=torch.float64)[:, None, None]
     return (low + share * (high - low)).float().contiguous()

@@ -40,7 +40,7 @@ def render(
     check_option("render", "mesh", mesh, SHAPES)
     if size < 1 or not 0 < repeat < math.inf:
         raise RangeError(message("render", "size and repeat", "be positive", f"they are {size} and {repeat}"))
-    dtype = next(iter(material.maps.values())).dtype
+    dtype = material.dtype
     directions = [_unit("light", light, dtype) for light in lights]
     with torch.no_grad():
         if mesh == "patch":

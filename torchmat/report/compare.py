@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -11,6 +10,7 @@ from torchmat import atomic
 from torchmat.btf import Btf
 from torchmat.errors import FitError, RangeError, message
 from torchmat.fit import fit
+from torchmat.fit.config import parse_value
 from torchmat.fit.registry import resolve_options
 from torchmat.progress import progress as progress_bar
 from torchmat.report.html import comparison_page
@@ -34,10 +34,7 @@ def parse_model(text: str) -> tuple[str, dict[str, Any]]:
         key, separator, value = part.partition("=")
         if not separator:
             raise RangeError(message("compare", repr(text), "be NAME:KEY=VALUE,...", f"{part!r} has no '='"))
-        try:
-            options[key.strip()] = tomllib.loads(f"v = {value}")["v"]
-        except tomllib.TOMLDecodeError:
-            options[key.strip()] = value.strip()
+        options[key.strip()] = parse_value(value)
     return name, resolve_options(name, options) and options
 
 

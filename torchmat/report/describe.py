@@ -7,18 +7,20 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
+from torchmat import frames
 from torchmat.btf import Btf
 from torchmat.material_io import load_material
+from torchmat.material_io.folder import MANIFEST
 from torchmat.report.tables import number, text_table
 
 
 def is_material(path: str | Path) -> bool:
     """Return whether `path` is a material folder."""
-    return (Path(path) / "manifest.json").is_file()
+    return (Path(path) / MANIFEST).is_file()
 
 
 def _polar_range(directions: Tensor) -> str:
-    polar = torch.rad2deg(torch.acos(directions[:, 2].double().clamp(-1, 1)))
+    polar = torch.rad2deg(frames.to_polar(directions.double())[0])
     return f"{len(directions)}, polar {float(polar.min()):.1f} to {float(polar.max()):.1f} degrees"
 
 

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from torchmat.report.tables import FIGURES, number
+from torchmat.report.tables import error_rows, number
 
 _STYLE = """
 body{font-family:system-ui,sans-serif;margin:2em auto;max-width:62em;padding:0 1em;color:#222}
@@ -56,8 +56,6 @@ def _bands(report: dict[str, Any]) -> str:
 def fit_page(report: dict[str, Any], pictures: Sequence[Path]) -> str:
     """Return the page of one fit."""
     source = report["source"]
-    columns = [name for name in ("train", "held_out", "held_out_after_export") if report.get(name)]
-    errors = [[figure, *(report[name][figure] for name in columns)] for figure in FIGURES]
     facts = [
         ["source", f"{source['kind']}, {source['lights']} lights x {source['views']} views"],
         ["size", f"{source['height']} x {source['width']} texels, {report['samples']} images"],
@@ -70,7 +68,7 @@ def fit_page(report: dict[str, Any], pictures: Sequence[Path]) -> str:
         ["stopped because", report["stop_reason"]],
     ]
     body = [
-        _table(["", *(name.replace("_", " ") for name in columns)], errors),
+        _table(*error_rows(report)),
         _table(["", ""], facts), *map(_figure, pictures), "<h2>By polar angle</h2>", _bands(report),
     ]
     return _page(f"{report['model']} fitted to {Path(source['path']).name}", body)

@@ -8,7 +8,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from torchmat import colour
+from torchmat import colour, frames
 from torchmat.btf import Btf
 from torchmat.errors import DataError, message
 from torchmat.fit import FitResult, predict
@@ -61,8 +61,7 @@ def telling_samples(btf: Btf, result: FitResult) -> list[tuple[str, int]]:
 
 
 def _degrees(direction: Tensor) -> str:
-    polar = float(torch.rad2deg(torch.acos(direction[2].clamp(-1, 1))))
-    azimuth = float(torch.rad2deg(torch.atan2(direction[1], direction[0]))) % 360
+    polar, azimuth = (float(torch.rad2deg(angle)) for angle in frames.to_polar(direction))
     return f"{polar:.0f}°/{azimuth:.0f}°"
 
 

@@ -55,11 +55,16 @@ def text_table(header: Sequence[str], rows: Sequence[Sequence[Any]]) -> str:
     return "\n".join(lines)
 
 
-def error_table(report: dict[str, Any]) -> str:
-    """Return the six figures on train, held-out and held-out-after-export samples."""
+def error_rows(report: dict[str, Any]) -> tuple[list[str], list[list[Any]]]:
+    """Return header and rows of the six figures on train, held-out and held-out-after-export samples."""
     columns = [name for name in ("train", "held_out", "held_out_after_export") if report.get(name)]
     rows = [[figure, *(report[name][figure] for name in columns)] for figure in FIGURES]
-    return text_table(["", *(name.replace("_", " ") for name in columns)], rows)
+    return ["", *(name.replace("_", " ") for name in columns)], rows
+
+
+def error_table(report: dict[str, Any]) -> str:
+    """Return the six figures on train, held-out and held-out-after-export samples as a table."""
+    return text_table(*error_rows(report))
 
 
 def summary_table(report: dict[str, Any]) -> str:
