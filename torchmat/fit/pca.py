@@ -9,7 +9,7 @@ from torch import Tensor
 
 from torchmat import safe
 from torchmat.errors import FitError, RangeError, message
-from torchmat.fit.repeatable import add_product, one_thread, product
+from torchmat.fit.repeatable import add_product, one_thread, orthonormal, product
 from torchmat.fit.training import Fitted, Training
 from torchmat.models import LocalPca, Pca
 from torchmat.models.angular import projected
@@ -19,11 +19,6 @@ _POWER_STEPS = 2
 _KEEP_VALUES = 64_000_000  # training images up to this many values (256 MB) are decoded once and kept
 _LLOYD_STEPS = 30
 _RESTARTS = 2
-
-
-def _orthonormal(matrix: Tensor) -> Tensor:
-    with one_thread():
-        return torch.linalg.qr(matrix).Q
 
 
 class _Images:
@@ -74,9 +69,9 @@ def _range_finder(
 ) -> tuple[Tensor, Tensor]:
     """Return an orthonormal range [rows, r] of a matrix given by its products, and range^T matrix, [r, columns]."""
     probe = torch.randn(columns, rank, generator=generator, dtype=dtype)
-    found = _orthonormal(times(probe))
+    found = orthonormal(times(probe))
     for _ in range(_POWER_STEPS - 1):
-        found = _orthonormal(times(_orthonormal(transposed(found))))
+        found = orthonormal(times(orthonormal(transposed(found))))
     return found, transposed(found).T
 
 

@@ -43,6 +43,12 @@ def product(first: Tensor, second: Tensor) -> Tensor:
     return total
 
 
+def orthonormal(matrix: Tensor) -> Tensor:
+    """Return an orthonormal basis of the columns of a tall matrix."""
+    with one_thread():
+        return torch.linalg.qr(matrix).Q
+
+
 def add_product(total: Tensor, left: Tensor, right: Tensor) -> None:
     """Add left^T @ right to `total` [m, n] in place, for left [k, m] and right [k, n]."""
     if max(total.shape) < _NARROW:

@@ -22,6 +22,7 @@ class Training:
     btf: Btf
     used: Tensor
     seed: int = 0
+    tiles: bool = True
     dtype: torch.dtype = torch.float32
     progress: bool | None = None
 
@@ -36,7 +37,9 @@ class Training:
         return self.btf.view[:, :, None, None]
 
 
-def make_training(btf: Btf, train: Tensor, seed: int, dtype: torch.dtype, progress: bool | None) -> Training:
+def make_training(
+    btf: Btf, train: Tensor, seed: int, tiles: bool, dtype: torch.dtype, progress: bool | None
+) -> Training:
     """Return the Training for sample indices `train`; raises FitError when no light is above the horizon."""
     used = torch.zeros(len(btf), dtype=torch.bool)
     used[train] = True
@@ -44,7 +47,7 @@ def make_training(btf: Btf, train: Tensor, seed: int, dtype: torch.dtype, progre
     if not bool(used.any()):
         step = "Check the light directions: z points away from the surface."
         raise FitError(message("fit", "the data", "have a sample lit from above", "none of the fitted ones is", step))
-    return Training(btf, used, seed, dtype, progress)
+    return Training(btf, used, seed, tiles, dtype, progress)
 
 
 @dataclass(frozen=True)

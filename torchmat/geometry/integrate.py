@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import torch
 from torch import Tensor
@@ -66,51 +67,76 @@ def _adjoint(edges: Tensor, tiles: bool) -> Tensor:
     return right.roll(1, 1) - right + up.roll(-1, 0) - up
 
 
-def poisson(slopes: Tensor, weight: Tensor | None = None, tiles: bool = True) -> Tensor:
-    """Return the height [1, H, W], in texture widths and with mean 0, of weighted least-squares distance to `slopes`.
+def poisson(
+    slopes: Tensor, weight: Tensor | None = None, tiles: bool = True, anchor: Tensor | None = None,
+    anchor_weight: Tensor | None = None,
+) -> Tensor:
+    """Return the height [1, H, W], in texture widths, of weighted least-squares distance to `slopes`.
 
     `weight` [1, H, W] >= 0 says how far each texel's slopes are trusted: 0 for holes and masks, which are bridged as
-    smoothly as the rest allows. Conjugate gradients, preconditioned by the unweighted solution (Frankot-Chellappa's).
+    smoothly as the rest allows. Slopes leave the mean open: it is 0, unless `anchor` [1, H, W] gives heights known from
+    elsewhere, of `anchor_weight` [1, H, W] >= 0; both weights are inverse variances, of a slope and of a height.
+    Conjugate gradients, preconditioned by the solution for equal weights (Frankot-Chellappa's).
     """
     _check("poisson", slopes)
     size = slopes.shape[-2:]
-    trust = torch.ones(size, dtype=torch.float64) if weight is None else weight.double().reshape(size)
-    check_finite("poisson", "weight", trust)
-    if bool((trust < 0).any()) or not bool((trust > 0).any()):
-        fact = "some are negative" if bool((trust < 0).any()) else "all are 0"
-        raise RangeError(message("poisson", "weight", "be >= 0 and somewhere positive", fact))
+    trust = _weight("weight", weight, size)
     # What a hole holds is no slope: there the surface is to be as flat as the rest allows.
     rise = torch.where(trust > 0, slopes.double() / size[1], torch.zeros((), dtype=torch.float64))
-    trust = trust / trust.max() + _TRACE
+    most = trust.max()
+    trust = trust / most + _TRACE
     # Each edge takes the mean of its two texels' slopes, and the smaller trust.
     edge = torch.stack((rise[0] + rise[0].roll(-1, 1), rise[1] + rise[1].roll(1, 0))) / 2
     share = torch.stack((torch.minimum(trust, trust.roll(-1, 1)), torch.minimum(trust, trust.roll(1, 0))))
     right = _adjoint(share * edge, tiles)
-    found = _conjugate_gradients(lambda h: _adjoint(share * _differences(h, tiles), tiles), right, tiles)
-    return (found - found.mean())[None].to(slopes.dtype)
+    if anchor is None:
+        precondition = _laplace_inverse(tiles, *size)
+        found = _conjugate_gradients(
+            lambda h: _adjoint(share * _differences(h, tiles), tiles), right - right.mean(), precondition
+        )
+        return (found - found.mean())[None].to(slopes.dtype)
+    check_finite("poisson", "anchor", anchor)
+    # A slope is a rise a texel times the width: its inverse variance shrinks by the width squared.
+    pull = _weight("anchor_weight", anchor_weight, size) / (most * size[1] ** 2)
+    known = anchor.double().reshape(size)
+
+    def apply(height: Tensor) -> Tensor:
+        return _adjoint(share * _differences(height, tiles), tiles) + pull * height
+
+    precondition = _laplace_inverse(tiles, *size, float(pull.mean() / share.mean()))
+    moved = _conjugate_gradients(apply, right + pull * known - apply(known), precondition)  # the anchor is the start
+    return (known + moved)[None].to(slopes.dtype)
 
 
-def _laplace_inverse(tiles: bool, height: int, width: int):
-    """Return a function that solves the unweighted problem with the edges of `_differences`."""
+def _weight(name: str, weight: Tensor | None, size: torch.Size) -> Tensor:
+    trust = torch.ones(size, dtype=torch.float64) if weight is None else weight.double().reshape(size)
+    check_finite("poisson", name, trust)
+    if bool((trust < 0).any()) or not bool((trust > 0).any()):
+        fact = "some are negative" if bool((trust < 0).any()) else "all are 0"
+        raise RangeError(message("poisson", name, "be >= 0 and somewhere positive", fact))
+    return trust
+
+
+def _laplace_inverse(tiles: bool, height: int, width: int, pull: float = 0.0) -> Callable[[Tensor], Tensor]:
+    """Return a function that solves the problem of equal weights with the edges of `_differences`."""
     rows, columns = (height, width) if tiles else (2 * height, 2 * width)
     across, up = _frequencies(rows, columns, torch.float64)
-    power = (2 - 2 * torch.cos(across)) + (2 - 2 * torch.cos(up))
-    power[0, 0] = 1
+    power = (2 - 2 * torch.cos(across)) + (2 - 2 * torch.cos(up)) + pull
+    if pull == 0:
+        power[0, 0] = torch.inf  # the mean stays 0
 
     def solve(right: Tensor) -> Tensor:
         if not tiles:
             right = torch.cat((right, right.flip(1)), dim=1)
             right = torch.cat((right, right.flip(0)), dim=0)
-        spectrum = torch.fft.fft2(right) / power
-        spectrum[0, 0] = 0
-        return torch.fft.ifft2(spectrum).real[:height, :width]
+        return torch.fft.ifft2(torch.fft.fft2(right) / power).real[:height, :width]
 
     return solve
 
 
-def _conjugate_gradients(apply, right: Tensor, tiles: bool) -> Tensor:
-    precondition = _laplace_inverse(tiles, *right.shape)
-    right = right - right.mean()
+def _conjugate_gradients(
+    apply: Callable[[Tensor], Tensor], right: Tensor, precondition: Callable[[Tensor], Tensor]
+) -> Tensor:
     found = torch.zeros_like(right)
     residual = right.clone()
     step = precondition(residual)

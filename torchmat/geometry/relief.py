@@ -39,16 +39,21 @@ def texel_centres(height: int, width: int, dtype: torch.dtype = torch.float32) -
     return torch.stack((across, down))
 
 
-def look_up(maps: Tensor, uv: Tensor, tiles: bool = True) -> Tensor:
-    """Return `maps` [N or 1, C, H, W] at `uv` [N, 2, h, w], bilinear, as [N, C, h, w]; a border texel goes on if not tiling."""
+def look_up(maps: Tensor, uv: Tensor, tiles: bool = True, mode: str = "bilinear") -> Tensor:
+    """Return `maps` [N or 1, C, H, W] at `uv` [N, 2, h, w] as [N, C, h, w]; a border texel goes on if not tiling.
+
+    `mode` is that of `grid_sample`: bilinear, bicubic or nearest.
+    """
     rows, columns = maps.shape[-2:]
     u, v = uv[:, 0], 1 - uv[:, 1]
     if tiles:
-        maps = pad_border(maps, True)
-        u, v = ((u % 1) * columns + 1) / (columns + 2), ((v % 1) * rows + 1) / (rows + 2)
+        border = 2 if mode == "bicubic" else 1
+        maps = pad_border(maps, True, border)
+        u = ((u % 1) * columns + border) / (columns + 2 * border)
+        v = ((v % 1) * rows + border) / (rows + 2 * border)
     grid = torch.stack((u * 2 - 1, v * 2 - 1), dim=-1)
     maps = maps.expand(len(grid), -1, -1, -1)
-    return functional.grid_sample(maps, grid, mode="bilinear", padding_mode="border", align_corners=False)
+    return functional.grid_sample(maps, grid, mode=mode, padding_mode="border", align_corners=False)
 
 
 class _Field:

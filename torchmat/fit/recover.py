@@ -1,0 +1,212 @@
+"""From a BTF to a height map: slopes from the lights, scale and offset from the views, then both together.
+
+Photometric stereo on the most frontal view gives slopes that are right in detail but wrong by a factor where the surface
+shines. The other views say how high each texel stands, blurred by what they cannot tell apart. The height is the one
+that agrees best with both (a screened Poisson equation), found over again as the images are brought onto it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import torch
+import torch.nn.functional as functional
+from torch import Tensor
+
+from torchmat import frames
+from torchmat.errors import FitError, message
+from torchmat.fit.consistency import Agreement, Captured, agreement, capture, on_surface
+from torchmat.fit.repeatable import one_thread, product
+from torchmat.fit.training import Training
+from torchmat.geometry import Relief, poisson, relief_from_photographs, slopes_from_normals
+from torchmat.geometry.normals import pad_border
+from torchmat.progress import progress
+
+_FLATTEST_DEG = 45  # the view of photometric stereo may lean no further: texels of other views are not where it sees them
+_FEWEST_VIEWS, _FEWEST_SAMPLES = 6, 24  # below, there is no parallax to speak of
+_WIDEST = 0.3  # and none if no view leans further than this (tangent of its polar angle)
+_GAIN = 0.98  # a relief must bring the disagreement of the images below this share of a flat surface's
+_REFINEMENTS = 4
+# A slope of photometric stereo is off by so much, and steep ones by so much of themselves.
+_SLOPE_ERROR, _SLOPE_SHARE = 0.05, 0.15
+# What a low rank leaves over is no noise: neighbours in angle and space share it. It counts like 3 independent in 1000.
+_INDEPENDENT = 0.003
+_LONGEST_STEP = 0.75  # texels that the height may move by in one refinement
+_FINE = 4.0  # coarse texels: what is finer is the slopes' alone
+
+
+class Recovery(NamedTuple):
+    """The relief, its height over the plane of the images, and `figures` that say how it was found."""
+
+    relief: Relief
+    figures: dict[str, Any]
+
+
+def recover_relief(training: Training) -> Recovery:
+    """Recover height and normals from the training samples of a BTF.
+
+    The height is in texture widths over the plane on which the images are registered. A surface whose images agree
+    best without relief comes out exactly flat. With fewer than six views there is no parallax: then the height has
+    the scale of photometric stereo and mean 0. Raises FitError when no view is near enough to the normal, RangeError
+    when its lights lie in one plane.
+    """
+    found = _stereo(training)
+    figures: dict[str, Any] = {"method": "photometric stereo", "offset": 0.0, "scale": 1.0}
+    if not _has_parallax(training):
+        return Recovery(found, figures | {"scale_from": "photometric stereo: too few views for parallax"})
+    captured = capture(training)
+    size = captured.images.shape[-2:]
+    slopes = slopes_from_normals(found.normal)
+    coarse = _Slopes(_shrink(slopes, size), _shrink(found.confidence, size), training.tiles)
+    start = functional.adaptive_avg_pool2d(found.height, size)
+    flat = agreement(captured, torch.zeros_like(start)).error
+    scale, offset, best = _search(captured, start - start.mean(), flat, training.progress)
+    figures |= {"method": "photometric stereo and views", "scale": scale, "offset": offset, "disagreement_flat": flat}
+    figures["scale_from"] = "agreement of the views"
+    if scale == 0 or best > _GAIN * flat:
+        figures |= {"scale": 0.0, "offset": 0.0, "disagreement": flat}
+        return Recovery(_flattened(found), figures)
+    height = scale * (start - start.mean()) + offset
+    for _ in progress(range(_REFINEMENTS), "refining the height", show=training.progress):
+        height = _refined(captured, height, coarse)
+    figures["disagreement"] = agreement(captured, height).error
+    if tuple(size) != tuple(found.height.shape[-2:]):
+        height = _sharpened(height, _Slopes(slopes, found.confidence, training.tiles))
+    return Recovery(found._replace(height=height.to(found.height.dtype)), figures)
+
+
+def _stereo(training: Training) -> Relief:
+    btf = training.btf
+    first = int(btf.view_index[training.used].min())  # views run from the pole outward
+    polar = float(torch.rad2deg(frames.to_polar(btf.views[first].double())[0]))
+    if polar > _FLATTEST_DEG:
+        fact = f"the most frontal one is at {polar:.0f} degrees"
+        step = "Pass a height map, or geometry='flat'."
+        requirement = f"have a view within {_FLATTEST_DEG} degrees of the normal to recover its geometry"
+        raise FitError(message("fit", "the data", requirement, fact, step))
+    rows = (training.used & (btf.view_index == first)).nonzero()[:, 0]
+    images, light, weight = btf.images(rows, training.dtype), btf.light[rows].to(training.dtype), btf.weights(rows)
+    with one_thread():
+        return relief_from_photographs(images, light, weight, training.tiles)
+
+
+def _has_parallax(training: Training) -> bool:
+    views = training.btf.views[training.btf.view_index[training.used].unique()]
+    lean = views[:, :2].norm(dim=1) / views[:, 2]
+    enough = len(views) >= _FEWEST_VIEWS and int(training.used.sum()) >= _FEWEST_SAMPLES
+    return enough and float(lean.max()) >= _WIDEST
+
+
+def _flattened(found: Relief) -> Relief:
+    up = torch.zeros_like(found.normal)
+    up[2] = 1
+    return found._replace(height=torch.zeros_like(found.height), normal=up)
+
+
+def _shrink(maps: Tensor, size: Sequence[int]) -> Tensor:
+    return functional.adaptive_avg_pool2d(maps, tuple(size))
+
+
+def _search(captured: Captured, shape: Tensor, flat: float, show: bool | None) -> tuple[float, float, float]:
+    """Return scale, offset and disagreement of the best height ``scale * shape + offset``."""
+    span = float(shape.max() - shape.min())
+    if span < 1e-6:
+        return 0.0, 0.0, flat
+
+    def error(scale: float, offset: float) -> float:
+        return agreement(captured, scale * shape + offset).error
+
+    bar = progress(range(5), "finding scale and offset", show=show)
+    scale, offset, best = 1.0, 0.0, math.inf
+    for turn in bar:
+        if turn == 0:
+            offset, best = _lowest(lambda x: error(1.0, x), [span * step / 4 for step in range(-6, 7)])
+        elif turn % 2 == 1:
+            scale, best = _lowest(lambda x: error(x, offset), [scale * s for s in (0.3, 0.55, 0.8, 1, 1.25, 1.6)])  # noqa: B023
+        else:
+            reach = 0.2 * span * scale / turn
+            offset, best = _lowest(lambda x: error(scale, x), [offset + reach * s for s in (-1, -0.5, 0, 0.5, 1)])  # noqa: B023
+    return scale, offset, best
+
+
+def _lowest(error: Callable[[float], float], at: list[float]) -> tuple[float, float]:
+    """Return where `error` is lowest, by the parabola through the lowest of the points `at` and its neighbours."""
+    values = [error(x) for x in at]
+    lowest = min(range(len(at)), key=values.__getitem__)
+    middle = min(max(lowest, 1), len(at) - 2)
+    (a, b, c), (fa, fb, fc) = at[middle - 1 : middle + 2], values[middle - 1 : middle + 2]
+    left, right = (fb - fa) / (b - a), (fc - fb) / (c - b)
+    if right <= left:
+        return at[lowest], values[lowest]
+    bend = (right - left) / (c - a)
+    found = min(max((a + b) / 2 - left / (2 * bend), a), c)
+    return found, values[lowest]
+
+
+class _Slopes(NamedTuple):
+    """Slopes [2, H, W] and their confidence [1, H, W]."""
+
+    slopes: Tensor
+    confidence: Tensor
+    tiles: bool
+
+    @property
+    def trust(self) -> Tensor:
+        """Inverse variance of each slope, [1, H, W]."""
+        spread = _SLOPE_ERROR + _SLOPE_SHARE * self.slopes.square().sum(dim=0, keepdim=True).sqrt()
+        return self.confidence.clamp(min=1e-3) / spread**2
+
+
+def _gradient(images: Tensor, tiles: bool) -> Tensor:
+    """Return the change of images [n, C, h, w] along u and v as [n, 2 C, h, w]."""
+    rows, columns = images.shape[-2:]
+    wide = pad_border(images, tiles)
+    across = (wide[..., 1:-1, 2:] - wide[..., 1:-1, :-2]) * (columns / 2)
+    up = (wide[..., :-2, 1:-1] - wide[..., 2:, 1:-1]) * (rows / 2)
+    return torch.cat((across, up), dim=1)
+
+
+def _refined(captured: Captured, height: Tensor, slopes: _Slopes) -> Tensor:
+    """Return the height after one Gauss-Newton step toward the low rank, held together by the slopes."""
+    found = agreement(captured, height)
+    slope = captured.slope[captured.view_index]
+    across, up = on_surface(captured, _gradient(captured.images, captured.tiles), height).split(3, dim=1)
+    change = -(across * slope[:, :1] + up * slope[:, 1:]).flatten(1) * found.scale * found.weight
+    # What the subspace can follow by itself says nothing of the height.
+    change = change - product(found.subspace, product(found.subspace.T, change))
+    known, step = _normal_equations(found, change, height.shape[-2:])
+    longest = _LONGEST_STEP / height.shape[-1]
+    anchor = height + step.clamp(-longest, longest)
+    with one_thread():
+        return poisson(slopes.slopes, slopes.trust, slopes.tiles, anchor, known).to(height.dtype)
+
+
+def _normal_equations(found: Agreement, change: Tensor, size: Sequence[int]) -> tuple[Tensor, Tensor]:
+    """Return the inverse variance of each texel's height by the views alone and the step that they ask for, [1, h, w]."""
+    with one_thread():
+        spread = 1.5 * float((found.residual.abs() * found.weight).sum() / found.weight.sum().clamp(min=1)) + 1e-6
+        robust = found.weight / (1 + (found.residual / spread) ** 2)  # Cauchy's weights
+
+        def gathered(values: Tensor) -> Tensor:
+            return values.sum(dim=0).reshape(3, *size).sum(dim=0, keepdim=True)
+
+        curvature = gathered(robust * change * change)
+        step = -gathered(robust * change * found.residual) / curvature.clamp(min=1e-6 * float(curvature.mean()) + 1e-30)
+    return curvature.clamp(min=1e-30) * (_INDEPENDENT / spread**2), step
+
+
+def _sharpened(coarse: Tensor, fine: _Slopes) -> Tensor:
+    """Return `coarse` at the size of the slopes, with their detail."""
+    size = fine.slopes.shape[-2:]
+    wide = pad_border(coarse[None], fine.tiles, 2)
+    grown = functional.interpolate(
+        wide, scale_factor=(size[0] / coarse.shape[-2], size[1] / coarse.shape[-1]), mode="bicubic", align_corners=False
+    )
+    margin = (grown.shape[-2] - size[0]) // 2, (grown.shape[-1] - size[1]) // 2
+    anchor = grown[0, :, margin[0] : margin[0] + size[0], margin[1] : margin[1] + size[1]]
+    frequency = 2 * math.pi * coarse.shape[-1] / _FINE
+    with one_thread():
+        weight = torch.full_like(anchor, float(fine.trust.mean()) * frequency**2)
+        return poisson(fine.slopes, fine.trust, fine.tiles, anchor, weight)
