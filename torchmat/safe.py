@@ -11,6 +11,11 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+# The vector maths library that torch calls sets itself up on first use. When the first use comes from two threads at
+# once, one of them now and then computes with 12 bits (one process in four, torch 2.13 with MKL): so a single thread goes first.
+torch.sqrt(torch.ones(16))
+torch.sqrt(torch.ones(16, dtype=torch.float64))
+
 
 def sqrt(x: Tensor) -> Tensor:
     """Return the square root of `x`; 0 with gradient 0 for x <= 0."""

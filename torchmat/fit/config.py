@@ -22,7 +22,8 @@ _DATA_KEYS = (
 class FitConfig:
     """Everything that decides a fit, apart from the data itself.
 
-    `options` are the model's; `data` are keywords of `load_btf`, used by the command line.
+    `options` are the model's; `geometry` is "flat", "recover", or for the command line the path of a height map;
+    `data` are keywords of `load_btf`, used by the command line.
     """
 
     model: str = "phong_srf"
@@ -30,6 +31,8 @@ class FitConfig:
     holdout: float = 0.2
     holdout_by: str = "pair"
     seed: int = 0
+    geometry: str = "flat"
+    tiles: bool = True
     data: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -42,9 +45,12 @@ class FitConfig:
 
 
 def _typed(where: str, table: dict[str, Any]) -> dict[str, Any]:
-    kinds = {"model": str, "options": dict, "holdout": (int, float), "holdout_by": str, "seed": int, "data": dict}
+    kinds = {
+        "model": str, "options": dict, "holdout": (int, float), "holdout_by": str, "seed": int, "geometry": str,
+        "tiles": bool, "data": dict,
+    }
     for key, value in table.items():
-        if not isinstance(value, kinds[key]) or isinstance(value, bool):
+        if not isinstance(value, kinds[key]) or (isinstance(value, bool) and kinds[key] is not bool):
             wanted = getattr(kinds[key], "__name__", "number")
             raise RangeError(message(where, key, f"be a {wanted}", f"it is {value!r}"))
     return table

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import time
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -14,8 +15,10 @@ from torchmat.btf import Btf, Split, split_samples
 from torchmat.errors import RangeError, message
 from torchmat.fit.config import FitConfig, load_config
 from torchmat.fit.evaluate import Evaluation, evaluate, shading_rate
-from torchmat.fit.registry import FITTERS, resolve_options
+from torchmat.fit.on_relief import fit_with_geometry
+from torchmat.fit.registry import resolve_options
 from torchmat.fit.training import make_training
+from torchmat.geometry import Relief
 from torchmat.machine import peak_memory_mb, versions
 from torchmat.models import Material
 
@@ -29,7 +32,7 @@ class FitResult:
 
     `report` is what `report.json` holds; `coverage` [1, H, W] the share of the unknowns that each texel's samples
     determine (None where it has no meaning); `held_out_errors` [m] the display error of each held-out sample;
-    `history` (seconds, error) of an iterative solver.
+    `relief` the geometry that was recovered and used; `history` (seconds, error) of an iterative solver.
     """
 
     material: Material
@@ -38,6 +41,7 @@ class FitResult:
     split: Split
     coverage: Tensor | None = None
     held_out_errors: Tensor | None = None
+    relief: Relief | None = None
     history: list[tuple[float, float]] = field(default_factory=list)
 
 
@@ -48,6 +52,8 @@ def fit(
     holdout: float | None = None,
     holdout_by: str | None = None,
     seed: int | None = None,
+    geometry: str | Tensor | None = None,
+    tiles: bool | None = None,
     dtype: torch.dtype = torch.float32,
     measure: bool = True,
     progress: bool | None = None,
@@ -56,26 +62,34 @@ def fit(
     """Fit a material to `btf` and measure it on samples that it never saw.
 
     `model` is a name, a FitConfig, or the path of a TOML config. `holdout` is the share of samples held out (0.2),
-    `holdout_by` "pair", "light" or "view"; both, `seed` (0) and the model's `options` (named as in the README) override
-    the config's. `dtype` float64 runs the same code in double precision. `measure` False leaves the errors out of the
-    report, which takes most of the time of a closed-form fit. Deterministic for a seed.
+    `holdout_by` "pair", "light" or "view"; both, `seed` (0), `geometry`, `tiles` and the model's `options` (named as in
+    the README) override the config's. `geometry` "flat" (the default) takes texels for what they seem; "recover" finds
+    height and normals from the training samples and puts the model on that relief, with parallax, shadow and ambient
+    light, if that makes it better; a height map [1, H, W] in texture widths over the plane of the images is taken as
+    it is. `tiles` False says that the surface does not repeat at its borders (True). `dtype` float64 runs the same code
+    in double precision. `measure` False leaves the errors out of the report, which takes most of the time of a
+    closed-form fit. Deterministic for a seed.
 
     Raises RangeError for unknown models or options, FitError when the data cannot determine the model.
     """
-    config = _resolve(model, holdout, holdout_by, seed, options)
+    given_height = torch.as_tensor(geometry) if geometry is not None and not isinstance(geometry, str) else None
+    way = {"geometry": geometry} if isinstance(geometry, str) else {}
+    given = {"holdout": holdout, "holdout_by": holdout_by, "seed": seed, "tiles": tiles, **way}
+    config = _resolve(model, given, options)
     if dtype not in (torch.float32, torch.float64):
         raise RangeError(message("fit", "dtype", "be torch.float32 or torch.float64", f"it is {dtype}"))
     chosen = resolve_options(config.model, config.options)
     split = split_samples(btf, config.holdout, config.holdout_by, config.seed)
     start = time.perf_counter()
-    training = make_training(btf, split.train, config.seed, dtype, progress)
+    training = make_training(btf, split.train, config.seed, config.tiles, dtype, progress)
     with torch.no_grad():
-        fitted = FITTERS[config.model](training, **chosen)
+        fitted = fit_with_geometry(training, config.model, chosen, config.geometry if given_height is None else given_height)
     seconds = time.perf_counter() - start
     report, held_out = _report(btf, fitted.material, split, progress) if measure else (dict.fromkeys(_PARTS), None)
     report = {
         "model": config.model, "options": chosen, "samples": len(btf), "texels": btf.height * btf.width,
         "seed": config.seed, "holdout": config.holdout, "holdout_by": config.holdout_by,
+        "geometry": config.geometry if given_height is None else "given", "tiles": config.tiles,
         "bytes_per_texel": fitted.material.bytes_per_texel, "shared_bytes": fitted.material.shared_bytes,
         "fit_seconds": seconds, "load_seconds": btf.source.load_seconds,
         "shade_mtexels_per_s": shading_rate(fitted.material), "peak_rss_mb": peak_memory_mb(),
@@ -84,21 +98,16 @@ def fit(
     }
     errors = held_out.per_sample if held_out else None
     return FitResult(
-        fitted.material, fitted.stop_reason, report, split, fitted.coverage, errors, fitted.history
+        fitted.material, fitted.stop_reason, report, split, fitted.coverage, errors, fitted.relief, fitted.history
     )
 
 
-def _resolve(
-    model: str | Path | FitConfig, holdout: float | None, holdout_by: str | None, seed: int | None,
-    options: dict[str, Any],
-) -> FitConfig:
+def _resolve(model: str | Path | FitConfig, given: dict[str, Any], options: dict[str, Any]) -> FitConfig:
     if isinstance(model, Path) or (isinstance(model, str) and model.endswith(".toml")):
         model = load_config(model)
     base = model if isinstance(model, FitConfig) else FitConfig(model=model)
-    given = {"holdout": holdout, "holdout_by": holdout_by, "seed": seed}
     given = {name: value for name, value in given.items() if value is not None}
-    kept = {name: getattr(base, name) for name in ("model", "holdout", "holdout_by", "seed", "data")}
-    return FitConfig(**{**kept, **given, "options": {**base.options, **options}})
+    return dataclasses.replace(base, **given, options={**base.options, **options})
 
 
 def _report(

@@ -6,14 +6,17 @@ import torch
 from torch import Tensor
 
 from torchmat import colour, safe
-from torchmat.errors import check_option
+from torchmat.errors import RangeError, check_option, message
 from torchmat.fit.least_squares import Design, LinearFit, Moments, make_design, solve_texels, stream_moments
-from torchmat.fit.repeatable import product
+from torchmat.fit.repeatable import one_thread, product
+from torchmat.fit.surface import Surface
 from torchmat.fit.training import Fitted, Training
+from torchmat.geometry import normals_from_slopes, slopes_from_height
 from torchmat.models import Hsh, Lambert, Lptm, Ptm, Texture
 from torchmat.models.bases import BASES
-from torchmat.models.linear import HSH_TERMS
+from torchmat.models.linear import HSH_TERMS, NORMALS
 
+_EYE = 1.0  # of the mean value: darker samples weigh no more
 
 
 def design_of(training: Training, basis: str, ridge: float = 0.0) -> Design:
@@ -66,11 +69,16 @@ def fit_lptm(training: Training, *, storage: str = "half") -> Fitted:
     return Fitted(Lptm(maps, storage=storage), coverage=solved.coverage)
 
 
-def fit_lambert(training: Training, *, storage: str = "half") -> Fitted:
+def fit_lambert(training: Training, *, normals: str = "auto", storage: str = "half") -> Fitted:
     """Normal from the least-squares gradient of luminance over the light, then the albedo for that normal.
 
-    Woodham 1980 over all samples, without rejecting shadows or highlights: the plain baseline.
+    Woodham 1980 over all samples, without rejecting shadows or highlights: the plain baseline. `normals` "auto" means
+    a normal map on a flat surface and those of the height on a relief.
     """
+    check_option("fit lambert", "normals", normals, ("auto", *NORMALS))
+    if normals == "height":
+        step = "Use geometry='recover' or a height map, or normals='map'."
+        raise RangeError(message("fit lambert", "normals='height'", "have a height", "the geometry is flat", step))
     btf, used, dtype = training.btf, training.used, training.dtype
     design = make_design(btf.light.double(), used)
     moments = stream_moments(btf, design, used, dtype, training.progress)
@@ -82,6 +90,60 @@ def fit_lambert(training: Training, *, storage: str = "half") -> Fitted:
     normal = torch.where((normal[2:] > 0), normal, up)
     albedo = _albedo(training, normal).clamp(min=0)
     return Fitted(Lambert({"albedo": albedo, "normal": normal}, storage=storage), coverage=solved.coverage)
+
+
+def fit_lambert_on_relief(
+    surface: Surface, height: Tensor, *, normals: str = "auto", storage: str = "half"
+) -> Fitted | None:
+    """Fit albedo and ambient colour of each texel for the normals of the height; None for normals="map".
+
+    ``value = albedo * lit * max(0, n.l) + ambient``, both non-negative: two unknowns a channel. Samples weigh the less
+    the brighter they are, as they do to the eye; without that, PSNR on deep relief is 0.6 dB lower.
+    """
+    check_option("fit lambert", "normals", normals, ("auto", *NORMALS))
+    if normals == "map":
+        return None
+    training = surface.training
+    btf, dtype = training.btf, training.dtype
+    normal = normals_from_slopes(slopes_from_height(height.to(dtype), tiles=training.tiles)).flatten(1)
+    size = (btf.height, btf.width)
+    left, right = torch.zeros(3, *size, dtype=dtype), torch.zeros(2, 3, *size, dtype=dtype)
+    level = _EYE * _mean_value(training)
+    for block in btf.blocks(None, dtype, training.progress):
+        light = btf.light[block.samples.start : block.samples.stop].to(dtype)
+        direct = (light @ normal).clamp_(min=0).reshape(-1, 1, *size) * surface.shadow(block.samples)
+        weight = 1 / (block.images.mean(dim=1, keepdim=True) + level)
+        weight = weight if block.weight is None else weight * block.weight
+        weighted = weight * direct
+        left += torch.stack([(weighted * direct)[:, 0].sum(0), weighted[:, 0].sum(0), weight[:, 0].sum(0)])
+        right[0] += (block.images * weighted).sum(dim=0)
+        right[1] += (block.images * weight).sum(dim=0)
+    albedo, ambient = _two_non_negative(*left, *right)
+    lit = ((left[0] > 0) & (left[2] > 0)).to(dtype)[None]
+    maps = {"albedo": albedo, "height": height.to(dtype), "ambient": ambient}
+    return Fitted(Lambert(maps, normals="height", storage=storage, tiles=training.tiles), coverage=lit)
+
+
+def _mean_value(training: Training) -> float:
+    total = torch.zeros(training.btf.height, training.btf.width, dtype=torch.float64)
+    for block in training.btf.blocks(None, training.dtype):
+        total += block.images.mean(dim=1).sum(dim=0)
+    with one_thread():
+        return max(float(total.mean()) / len(training.btf), 1e-30)
+
+
+def _two_non_negative(aa: Tensor, ab: Tensor, bb: Tensor, ay: Tensor, by: Tensor) -> tuple[Tensor, Tensor]:
+    """Solve min |a x + b y|^2 with x, y >= 0 for each texel: sums of products [H, W], right-hand sides [3, H, W].
+
+    A little of each unknown's own energy is added, which gives those that no sample determines the value 0.
+    """
+    ridge = 1e-4 * (aa + bb) / 2
+    aa, bb = aa + ridge, bb + ridge
+    determinant = aa * bb - ab * ab
+    x, y = safe.divide(bb * ay - ab * by, determinant), safe.divide(aa * by - ab * ay, determinant)
+    alone_x, alone_y = safe.divide(ay, aa).clamp(min=0), safe.divide(by, bb).clamp(min=0)
+    zero = torch.zeros_like(x)
+    return torch.where(x < 0, zero, torch.where(y < 0, alone_x, x)), torch.where(y < 0, zero, torch.where(x < 0, alone_y, y))
 
 
 def _albedo(training: Training, normal: Tensor) -> Tensor:

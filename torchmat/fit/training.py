@@ -10,6 +10,7 @@ from torch import Tensor
 
 from torchmat.btf import Btf
 from torchmat.errors import FitError, message
+from torchmat.geometry import Relief
 from torchmat.models import Material
 
 CLOSED_FORM = "converged"
@@ -17,7 +18,10 @@ CLOSED_FORM = "converged"
 
 @dataclass(frozen=True)
 class Training:
-    """The samples a fit may look at: `used` is bool [sample], lights above the horizon and not held out."""
+    """The samples a fit may look at: `used` is bool [sample], lights above the horizon and not held out.
+
+    `tiles` says that the surface repeats.
+    """
 
     btf: Btf
     used: Tensor
@@ -55,11 +59,12 @@ class Fitted:
     """A material, why the solver stopped, the share of its unknowns each texel's samples determine, and figures.
 
     `coverage` [1, H, W] or None where it has no meaning; `figures` go into the report under the model's own keys;
-    `history` lists (seconds, error) of an iterative solver.
+    `relief` is the geometry that was recovered and used; `history` lists (seconds, error) of an iterative solver.
     """
 
     material: Material
     stop_reason: str = CLOSED_FORM
     coverage: Tensor | None = None
     figures: dict[str, Any] = field(default_factory=dict)
+    relief: Relief | None = None
     history: list[tuple[float, float]] = field(default_factory=list)

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import copy
 import inspect
 import math
 from collections.abc import Mapping
 from typing import Any, ClassVar, Self
 
 import torch
-import torch.nn.functional as functional
 from torch import Tensor, nn
 
 from torchmat.errors import RangeError, ShapeError, check_known_keys, check_option, message
+from torchmat.geometry.relief import look_up
+from torchmat.models.relief import PARTS, shade_points, shade_texels
 from torchmat.models.storage import STORAGES, MapSpec, check_map, decode, encode
 
 
@@ -20,7 +22,9 @@ class Material(nn.Module):
 
     `maps` are parameters: [C, H, W] per texel, [C, rows, columns] for shared tables, [C] for constants, as `specs`
     declares. `storage` names how textures are stored (a key of STORAGES); `tiles` whether the surface repeats.
-    Subclasses add keyword options, kept in `options`, and implement `specs` and `value`.
+    Subclasses add keyword options, kept in `options`, and implement `own_specs` and `value`. Every model may have two
+    more maps: `height` [1, H, W], in texture widths over the plane of the images, puts the surface on a relief with
+    parallax and shadow, and `ambient` [3, H, W] is the light that reaches a texel there by way of others.
     """
 
     name: ClassVar[str]
@@ -34,6 +38,7 @@ class Material(nn.Module):
         self.storage = storage
         self.tiles = tiles
         self.options = options
+        self._parts = tuple(part for part in PARTS if part.name in maps)
         specs = self.specs()
         check_known_keys(self.name, maps, [spec.name for spec in specs])
         missing = [spec.name for spec in specs if spec.name not in maps]
@@ -79,9 +84,13 @@ class Material(nn.Module):
             step = "Convert with .to(dtype); one call has one precision."
             raise RangeError(message(self.name, name, f"be {wanted} as the maps are", f"it is {dtype}", step))
 
-    def specs(self) -> tuple[MapSpec, ...]:
-        """Return what each map is."""
+    def own_specs(self) -> tuple[MapSpec, ...]:
+        """Return what each map of the model itself is."""
         raise NotImplementedError
+
+    def specs(self) -> tuple[MapSpec, ...]:
+        """Return what each map is, those of the relief among them where there is one."""
+        return (*self.own_specs(), *self._parts)
 
     def value(self, light: Tensor, view: Tensor) -> Tensor:
         """Return the value for light and view above the horizon; what it says below is never used."""
@@ -110,10 +119,26 @@ class Material(nn.Module):
         """Return ``pi * f_r * cos(light)``, linear RGB, never negative.
 
         `light`, `view`: unit vectors [..., 3, H, W], one per texel, or [..., 3, 1, 1], one per image; they broadcast.
-        The result is [..., 3, H, W]. Exactly 0, with gradient 0, where the light or the view is not above z = 0.
+        The result is [..., 3, H, W]. Exactly 0, with gradient 0, where the light or the view is not above z = 0. With a
+        height, texel (i, j) of the result is what the view's ray through that place of the plane meets.
         Raises ShapeError when the directions do not fit the maps.
         """
         self._check_directions(light, view)
+        return shade_texels(self, light, view) if self.has_relief else self._shade_flat(light, view)
+
+    def shade_at(self, uv: Tensor, light: Tensor, view: Tensor) -> Tensor:
+        """Return the value [..., 3, h, w] at texture coordinates `uv` [2, h, w] of the plane of the images.
+
+        u runs to the right and v up, each texture spans 0..1 and repeats if the material tiles (else its border goes
+        on). `light`, `view`: [..., 3, h, w] or [..., 3, 1, 1].
+        """
+        if not self.has_relief:
+            return self.at(uv).shade(light, view)
+        self._check_uv("shade_at", uv)
+        self._check_directions(light, view, tuple(uv.shape[-2:]))
+        return shade_points(self, uv.to(self.dtype), light, view)
+
+    def _shade_flat(self, light: Tensor, view: Tensor) -> Tensor:
         above = (light[..., 2:3, :, :] > 0) & (view[..., 2:3, :, :] > 0)
         # Below the horizon the model sees the pole instead, where it is finite, so that the gradient is 0 and not NaN.
         pole = torch.zeros(3, 1, 1, dtype=light.dtype)
@@ -121,12 +146,12 @@ class Material(nn.Module):
         value = self.value(torch.where(above, light, pole), torch.where(above, view, pole))
         return torch.where(above, value.clamp(min=0), torch.zeros((), dtype=value.dtype))
 
-    def _check_directions(self, light: Tensor, view: Tensor) -> None:
+    def _check_directions(self, light: Tensor, view: Tensor, size: tuple[int, int] | None = None) -> None:
+        height, width = size or self.size
         for name, direction in (("light", light), ("view", view)):
             fits = direction.ndim >= 3 and direction.shape[-3] == 3
-            fits = fits and tuple(direction.shape[-2:]) in ((1, 1), self.size)
+            fits = fits and tuple(direction.shape[-2:]) in ((1, 1), (height, width))
             if not fits:
-                height, width = self.size
                 requirement = f"be [..., 3, 1, 1] or [..., 3, {height}, {width}]"
                 step = "Vectors lie on dimension -3; `at` brings the maps to another size."
                 raise ShapeError(message(f"{self.name}.shade", name, requirement, f"it is {tuple(direction.shape)}", step))
@@ -136,36 +161,60 @@ class Material(nn.Module):
         """Return a material with some maps replaced."""
         return type(self)({**self.maps, **maps}, storage=self.storage, tiles=self.tiles, **self.options)
 
+    def repeating(self, tiles: bool) -> Self:
+        """Return the same material, repeating at its borders or not."""
+        return type(self)(dict(self.maps), storage=self.storage, tiles=tiles, **self.options)
+
     def stored_as(self, storage: str) -> Self:
         """Return the same material with its textures to be stored as `storage`."""
         return type(self)(dict(self.maps), storage=storage, tiles=self.tiles, **self.options)
 
+    @property
+    def has_relief(self) -> bool:
+        """Whether the surface has a height map."""
+        return any(part.name == "height" for part in self._parts)
+
+    def on_relief(self, height: Tensor, ambient: Tensor | None = None) -> Self:
+        """Return the material on a relief: `height` [1, H, W] in texture widths, `ambient` [3, H, W]."""
+        parts = {"height": height} if ambient is None else {"height": height, "ambient": ambient}
+        return self.with_maps(**parts)
+
+    def surface(self) -> Self:
+        """Return the material without its relief: what one texel does with its light."""
+        return self._sharing({spec.name: self.maps[spec.name] for spec in self.own_specs()})
+
+    def _sharing(self, maps: dict[str, Tensor]) -> Self:
+        """Return a flat material of these very tensors, not of copies: gradients pass through to what they came from."""
+        other = copy.copy(self)
+        other.__dict__ = dict(self.__dict__)
+        other._modules = {}
+        other._parts = ()
+        other.maps = maps
+        return other
+
+    def _check_uv(self, method: str, uv: Tensor) -> None:
+        if uv.ndim != 3 or uv.shape[0] != 2:
+            raise ShapeError(message(f"{self.name}.{method}", "uv", "be [2, H, W]", f"it is {tuple(uv.shape)}"))
+
     def at(self, uv: Tensor) -> Self:
-        """Return the material as seen at texture coordinates `uv` [2, H, W]: a material of that size.
+        """Return the flat material as seen at texture coordinates `uv` [2, H, W]: a material of that size.
 
         u runs to the right and v up, each texture spans 0..1 and repeats if the material tiles (else its border
-        goes on). Maps are filtered bilinearly, indices take the nearest texel.
+        goes on). Maps are filtered bilinearly, indices take the nearest texel. Of a material with a relief the view
+        decides what is seen: use `shade_at`, or `surface().at(uv)`.
         """
-        if uv.ndim != 3 or uv.shape[0] != 2:
-            raise ShapeError(message(f"{self.name}.at", "uv", "be [2, H, W]", f"it is {tuple(uv.shape)}"))
+        self._check_uv("at", uv)
+        if self.has_relief:
+            step = "Use shade_at(uv, light, view), or surface().at(uv) without the relief."
+            raise RangeError(message(f"{self.name}.at", "the material", "be flat", "it has a height map", step))
         found = {}
         for spec in self.specs():
             value = self.maps[spec.name]
             found[spec.name] = value if spec.constant or not spec.per_texel else self._look_up(value, uv, spec.index)
-        return self.with_maps(**found)
+        return self._sharing(found)
 
     def _look_up(self, value: Tensor, uv: Tensor, nearest: bool) -> Tensor:
-        height, width = value.shape[-2:]
-        u, v = (uv % 1.0 if self.tiles else uv).to(value.dtype)
-        if self.tiles:
-            # One texel of the opposite border on each side makes the filter wrap.
-            value = functional.pad(value[None], (1, 1, 1, 1), mode="circular")[0]
-            u, v = (u * width + 1) / (width + 2), ((1 - v) * height + 1) / (height + 2)
-        else:
-            v = 1 - v
-        grid = torch.stack((u * 2 - 1, v * 2 - 1), dim=-1)[None]
-        mode = "nearest" if nearest else "bilinear"
-        return functional.grid_sample(value[None], grid, mode=mode, padding_mode="border", align_corners=False)[0]
+        return look_up(value[None], uv[None].to(value.dtype), self.tiles, "nearest" if nearest else "bilinear")[0]
 
     def _storage_of(self, spec: MapSpec) -> str:
         # Shared tables are few bytes and set the brightness of every texel, so they keep at least half precision.

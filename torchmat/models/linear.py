@@ -12,12 +12,14 @@ from typing import Any
 from torch import Tensor
 
 from torchmat import safe
-from torchmat.errors import check_option
+from torchmat.errors import ShapeError, check_option, message
+from torchmat.geometry import normals_from_slopes, slopes_from_height
 from torchmat.models.base import Material, combine
 from torchmat.models.bases import BASES
 from torchmat.models.storage import MapSpec
 
 HSH_TERMS = (4, 9, 16)
+NORMALS = ("map", "height")
 
 
 class Texture(Material):
@@ -25,7 +27,7 @@ class Texture(Material):
 
     name = "texture"
 
-    def specs(self) -> tuple[MapSpec, ...]:
+    def own_specs(self) -> tuple[MapSpec, ...]:
         return (MapSpec("albedo", "diffuse colour", low=0.0, colour=True, linear=True),)
 
     def value(self, light: Tensor, view: Tensor) -> Tensor:
@@ -33,15 +35,32 @@ class Texture(Material):
 
 
 class Lambert(Material):
-    """An albedo and a normal per texel: photometric stereo's material."""
+    """An albedo and a normal per texel: photometric stereo's material.
+
+    `normals` says where they come from: "map", or, on a relief, the Sobel slopes of its "height".
+    """
 
     name = "lambert"
 
-    def specs(self) -> tuple[MapSpec, ...]:
-        return (
-            MapSpec("albedo", "diffuse colour", low=0.0, colour=True, linear=True),
-            MapSpec("normal", "unit normal, x right, y up", low=-1.0, high=1.0, fixed_range=True),
-        )
+    def __init__(self, maps: Mapping[str, Tensor], *, normals: str = "map", **settings: Any) -> None:
+        check_option(self.name, "normals", normals, NORMALS)
+        self._normals = normals
+        if normals == "height" and "height" not in maps:
+            step = "Give a height map, or normals='map' and a normal map."
+            raise ShapeError(message(self.name, "height", "be there for normals='height'", "it is not", step))
+        super().__init__(maps, normals=normals, **settings)
+
+    def own_specs(self) -> tuple[MapSpec, ...]:
+        albedo = MapSpec("albedo", "diffuse colour", low=0.0, colour=True, linear=True)
+        normal = MapSpec("normal", "unit normal, x right, y up", low=-1.0, high=1.0, fixed_range=True)
+        return (albedo, normal) if self._normals == "map" else (albedo,)
+
+    def surface(self) -> Lambert:
+        flat = super().surface()
+        if self._normals == "height":
+            flat.maps["normal"] = normals_from_slopes(slopes_from_height(self.maps["height"], tiles=self.tiles))
+            flat._normals = "map"
+        return flat
 
     def value(self, light: Tensor, view: Tensor) -> Tensor:
         normal = safe.normalise(self.maps["normal"])  # interpolation and integer codes shorten it
@@ -54,7 +73,7 @@ class Ptm(Material):
 
     name = "ptm"
 
-    def specs(self) -> tuple[MapSpec, ...]:
+    def own_specs(self) -> tuple[MapSpec, ...]:
         return (MapSpec("polynomial", "coefficient per term, RGB", layers=BASES["polynomial"].terms, linear=True),)
 
     def value(self, light: Tensor, view: Tensor) -> Tensor:
@@ -67,7 +86,7 @@ class Lptm(Material):
 
     name = "lptm"
 
-    def specs(self) -> tuple[MapSpec, ...]:
+    def own_specs(self) -> tuple[MapSpec, ...]:
         terms = BASES["polynomial"].terms
         return (
             MapSpec("chroma", "colour per unit of luminance", low=0.0, colour=True, linear=True),
@@ -89,7 +108,7 @@ class Hsh(Material):
         self._basis = BASES[f"hsh{int(terms)}"]
         super().__init__(maps, terms=terms, **settings)
 
-    def specs(self) -> tuple[MapSpec, ...]:
+    def own_specs(self) -> tuple[MapSpec, ...]:
         return (MapSpec("harmonic", "coefficient per term, RGB", layers=self._basis.terms, linear=True),)
 
     def value(self, light: Tensor, view: Tensor) -> Tensor:

@@ -49,7 +49,7 @@ class Pca(Material):
         super().__init__(maps, components=components, **settings)
         _check_table(self.name, self.maps, "weight", 1)
 
-    def specs(self) -> tuple[MapSpec, ...]:
+    def own_specs(self) -> tuple[MapSpec, ...]:
         layers = tuple(f"{index:03d}" for index in range(self._components))
         return (
             MapSpec("component", "principal image, RGB", layers=layers, linear=True),
@@ -84,7 +84,7 @@ class LocalPca(Material):
         super().__init__(maps, clusters=clusters, components=components, **settings)
         _check_table(self.name, self.maps, "reflectance", clusters)
 
-    def specs(self) -> tuple[MapSpec, ...]:
+    def own_specs(self) -> tuple[MapSpec, ...]:
         layers = tuple(f"{index:02d}" for index in range(self._components))
         tables = ("mean", *layers)
         return (

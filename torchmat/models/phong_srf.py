@@ -38,7 +38,7 @@ class PhongSrf(Material):
         self._basis, self._lobe = BASES[residual], LOBES[base]
         super().__init__(maps, residual=residual, base=base, **settings)
 
-    def specs(self) -> tuple[MapSpec, ...]:
+    def own_specs(self) -> tuple[MapSpec, ...]:
         return (
             MapSpec("lobe", f"global lobe: {', '.join(self._lobe.names)}", layer_channels=len(self._lobe.names), constant=True),
             MapSpec("residual", "residual per term, RGB", layers=self._basis.terms, linear=True),

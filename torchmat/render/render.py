@@ -55,10 +55,10 @@ def _patch(material: Material, lights: list[Tensor], view: Tensor, size: int, re
     rows = max(1, round(size * height / width))
     u = (torch.arange(size, dtype=view.dtype) + 0.5) / size * repeat
     v = (1 - (torch.arange(rows, dtype=view.dtype) + 0.5) / rows) * repeat
-    seen = material.at(torch.stack(torch.meshgrid(v, u, indexing="ij")[::-1]))
+    uv = torch.stack(torch.meshgrid(v, u, indexing="ij")[::-1])
     picture = torch.zeros(3, rows, size, dtype=view.dtype)
     for light in lights:
-        picture += seen.shade(light[:, None, None], view[:, None, None])
+        picture += material.shade_at(uv, light[:, None, None], view[:, None, None])
     return picture
 
 
@@ -77,9 +77,9 @@ def _sphere(material: Material, lights: list[Tensor], size: int, repeat: float, 
     frame = torch.stack((tangent, bitangent, normal))  # [row of the frame, xyz, H, W]
     picture = torch.zeros(3, fine, fine, dtype=dtype)
     # Only what is seen is shaded: a row of visible pixels is a picture of height 1.
-    seen = material.at(uv[:, inside][:, None])
+    seen = uv[:, inside][:, None]
     view = frame[:, 2][:, inside][:, None]
     for light in lights:
         local = torch.einsum("ij...,j->i...", frame, light)[:, inside][:, None]
-        picture[:, inside] += seen.shade(local, view)[:, 0]
+        picture[:, inside] += material.shade_at(seen, local, view)[:, 0]
     return functional.avg_pool2d(picture[None], _SUPERSAMPLING)[0]

@@ -1,0 +1,106 @@
+"""Fits of every model over a relief: the same closed forms, on samples that are brought onto the surface."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from torchmat.errors import RangeError, ShapeError, check_finite, check_option, message
+from torchmat.fit.evaluate import evaluate
+from torchmat.fit.linear import fit_lambert_on_relief
+from torchmat.fit.recover import recover_relief
+from torchmat.fit.registry import FITTERS
+from torchmat.fit.surface import ambient, bring_onto, without_shadow
+from torchmat.fit.training import Fitted, Training
+from torchmat.geometry.normals import LARGEST_SCALE
+
+GEOMETRIES = ("flat", "recover")
+_VALIDATION, _VALIDATION_SAMPLES = 0.1, 200
+
+def check_given_height(height: Tensor, training: Training) -> Tensor:
+    """Return a height map that the user gives as [1, H, W]; raises ShapeError or RangeError when it cannot be one."""
+    size = (training.btf.height, training.btf.width)
+    height = height.detach()
+    height = height[None] if height.ndim == 2 else height
+    if height.shape != (1, *size):
+        step = "Resample it, or crop the images: texel by texel they must show the same place."
+        raise ShapeError(message("fit", "geometry", f"be [1, {size[0]}, {size[1]}]", f"it is {tuple(height.shape)}", step))
+    check_finite("fit", "geometry", height)
+    span = float(height.max() - height.min())
+    reach = float(height.abs().max())
+    if span == 0 or reach >= LARGEST_SCALE:
+        fact = "it is the same everywhere" if span == 0 else f"it reaches {reach:g} texture widths"
+        step = "Heights are in texture widths; leave geometry out for a flat surface."
+        raise RangeError(message("fit", "geometry", "be a height map of a surface", fact, step))
+    return height
+
+
+# Models that fit shadow and ambient themselves; they return None for options that need the common way.
+_OWN_WAYS: dict[str, Callable[..., Fitted | None]] = {"lambert": fit_lambert_on_relief}
+
+
+def fit_on_relief(training: Training, model: str, options: dict[str, Any], height: Tensor) -> Fitted:
+    """Fit a model to the samples on the surface of `height` and return it on that relief."""
+    height = height.to(training.dtype)
+    surface = bring_onto(training, height)
+    fitted = _OWN_WAYS[model](surface, height, **options) if model in _OWN_WAYS else None
+    if fitted is not None:
+        return fitted
+    shadowed = ambient(surface)
+    fitted = _fit_flat(without_shadow(surface, shadowed), model, options)
+    return replace(fitted, material=fitted.material.on_relief(height, shadowed))
+
+
+def _fit_flat(training: Training, model: str, options: dict[str, Any]) -> Fitted:
+    fitted = FITTERS[model](training, **options)
+    return replace(fitted, material=fitted.material.repeating(training.tiles))
+
+
+def fit_with_geometry(training: Training, model: str, options: dict[str, Any], geometry: str | Tensor) -> Fitted:
+    """Fit a model on a flat surface, on a given height map, or on the relief that the data shows ("recover").
+
+    A relief that was recovered is kept if it makes the model better on training samples that neither fit has seen;
+    what was compared stands in the figures.
+    """
+    if isinstance(geometry, Tensor):
+        return fit_on_relief(training, model, options, check_given_height(geometry, training))
+    check_option("fit", "geometry", geometry, GEOMETRIES)
+    if geometry == "flat":
+        return _fit_flat(training, model, options)
+    start = time.perf_counter()
+    relief, figures = recover_relief(training)
+    figures = {**figures, "recovery_seconds": time.perf_counter() - start}
+    height = relief.height
+    if float(height.abs().max()) == 0:
+        chosen = "flat"
+    else:
+        chosen, compared = _compare(training, model, options, height)
+        figures |= {"chosen": chosen, "validation_psnr_db": compared}
+    if chosen == "flat":
+        fitted = _fit_flat(training, model, options)
+    else:
+        fitted = replace(fit_on_relief(training, model, options, height), relief=relief)
+    return replace(fitted, figures={**fitted.figures, "geometry": {**figures, "chosen": chosen}})
+
+
+def _compare(training: Training, model: str, options: dict[str, Any], height: Tensor) -> tuple[str, dict[str, float]]:
+    """Return "flat" or "recover", whichever is better on a tenth of the training samples, and the PSNR of both."""
+    rows = training.used.nonzero()[:, 0]
+    generator = torch.Generator().manual_seed(training.seed)
+    kept_back = rows[torch.randperm(len(rows), generator=generator)[: max(1, round(_VALIDATION * len(rows)))]].sort().values
+    used = training.used.clone()
+    used[kept_back] = False
+    if not bool(used.any()):
+        return "recover", {}
+    part = replace(training, used=used)
+    rivals = {"flat": _fit_flat(part, model, options), "recover": fit_on_relief(part, model, options, height)}
+    found = {
+        way: evaluate(fitted.material, training.btf, kept_back, _VALIDATION_SAMPLES).report["psnr_db"]
+        for way, fitted in rivals.items()
+    }
+    return max(found, key=found.__getitem__), found

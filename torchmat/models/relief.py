@@ -1,0 +1,79 @@
+"""Any flat material on a height map: parallax, self-shadow, and the light that reaches a shadowed texel."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from torchmat.geometry.relief import look_up, soft_shadow, texel_centres, trace_view
+from torchmat.models.storage import MapSpec
+
+# A 16-bit integer spans just the heights that occur; half precision would show as steps in the normals.
+HEIGHT = MapSpec("height", "height over the plane of the images, texture widths", layer_channels=1, storage="png16")
+AMBIENT = MapSpec("ambient", "light by way of other texels, for a light of 1", low=0.0, colour=True, linear=True)
+PARTS = (HEIGHT, AMBIENT)
+
+
+def shade_texels(material, light: Tensor, view: Tensor) -> Tensor:
+    """Shade the whole map of a material with a height, as the images of a BTF show it.
+
+    With one light and view per image the surface is shaded texel by texel and then seen along the view's rays: one
+    look-up of three channels, whatever the number of maps. Per-texel directions go through `shade_points`.
+    """
+    height, tiles = material.maps["height"], material.tiles
+    if light.shape[-2:] != (1, 1) or view.shape[-2:] != (1, 1):
+        return shade_points(material, texel_centres(*material.size, height.dtype), light, view)
+    light, view, lead = _listed(light, view)
+    above = (light[:, 2:] > 0) & (view[:, 2:] > 0)
+    light, view = _raised(light, above), _raised(view, above)
+    (few_lights, which_light), (few_views, which_view) = _distinct(light), _distinct(view)
+    shadow = soft_shadow(height, few_lights, tiles=tiles)[which_light]
+    shaded = material.surface().shade(light, view) * shadow
+    if "ambient" in material.maps:
+        shaded = shaded + material.maps["ambient"]
+    seen = look_up(shaded, trace_view(height, few_views, tiles=tiles).uv[which_view], tiles, "bicubic").clamp(min=0)
+    seen = torch.where(above, seen, torch.zeros((), dtype=seen.dtype))
+    return seen.reshape(*lead, *seen.shape[1:])
+
+
+def shade_points(material, uv: Tensor, light: Tensor, view: Tensor) -> Tensor:
+    """Shade a material with a height where view rays through plane positions `uv` [2, h, w] meet it."""
+    light, view, lead = _listed(light, view)
+    pictures = [_shade_picture(material, uv, *pair) for pair in zip(light, view, strict=True)]
+    return torch.stack(pictures).reshape(*lead, *pictures[0].shape)
+
+
+def _shade_picture(material, uv: Tensor, light: Tensor, view: Tensor) -> Tensor:
+    height, tiles = material.maps["height"], material.tiles
+    above = (light[2:] > 0) & (view[2:] > 0)
+    light, view = _raised(light, above), _raised(view, above)
+    hit = trace_view(height, view, uv, tiles).uv
+    picture = material.surface().at(hit).shade(light, view) * soft_shadow(height, light, uv=hit, tiles=tiles)
+    if "ambient" in material.maps:
+        picture = picture + look_up(material.maps["ambient"][None], hit[None], tiles)[0]
+    return torch.where(above, picture, torch.zeros((), dtype=picture.dtype))
+
+
+def _listed(light: Tensor, view: Tensor) -> tuple[Tensor, Tensor, torch.Size]:
+    """Return directions with one leading dimension in common, and the leading shape that they had."""
+    lead = torch.broadcast_shapes(light.shape[:-3], view.shape[:-3])
+    listed = [d.expand(*lead, *d.shape[-3:]).reshape(-1, *d.shape[-3:]) for d in (light, view)]
+    return listed[0], listed[1], lead
+
+
+def _raised(direction: Tensor, above: Tensor) -> Tensor:
+    """Put the pole in place of directions that count for nothing, where everything is finite."""
+    pole = torch.zeros(3, 1, 1, dtype=direction.dtype)
+    pole[2] = 1
+    return torch.where(above, direction, pole)
+
+
+def _distinct(direction: Tensor) -> tuple[Tensor, Tensor]:
+    """Return the distinct ones of directions [n, 3, 1, 1], and which of them each is: rays are walked once for each."""
+    count = len(direction)
+    if count == 1 or direction.requires_grad:
+        return direction, torch.arange(count)
+    _, which = torch.unique(direction[:, :, 0, 0], dim=0, return_inverse=True)
+    first = torch.full((int(which.max()) + 1,), count, dtype=torch.long)
+    first.scatter_reduce_(0, which, torch.arange(count), reduce="amin")
+    return direction[first], which
