@@ -70,14 +70,16 @@ class Fit:
 
     def run(self) -> None:
         from torchmat.fit import fit, load_config
-        from torchmat.material_io import check_target
+        from torchmat.fit.on_relief import GEOMETRIES
+        from torchmat.material_io import check_target, load_height
         from torchmat.report import write_fit
         from torchmat.report.tables import error_table, summary_table
 
         check_target(self.out)  # before the work, not after it
         config = load_config(self.config, self.set)
+        height = None if config.geometry in GEOMETRIES else load_height(config.geometry)
         btf = self.read.load(self.data, config.data)
-        result = fit(btf, config)
+        result = fit(btf, config, geometry=height)
         folder = write_fit(btf, result, self.out, pictures=not self.no_pictures)
         print(summary_table(result.report))
         print()
@@ -187,10 +189,10 @@ class Info:
 
 @dataclass
 class Geometry:
-    """Recover height and normals: from photographs of one view under known lights, or from one picture."""
+    """Recover height and normals: from a BTF, from photographs of one view under known lights, or from one picture."""
 
     path: Annotated[str, tyro.conf.Positional]
-    """RTI folder or BTF (its most frontal view), a folder of photographs with --lights or --ball, or one picture."""
+    """BTF or RTI capture, a folder of photographs with --lights or --ball, or one picture."""
     out: Path = Path("relief")
     """Folder to write."""
     lights: Path | None = None
@@ -204,7 +206,7 @@ class Geometry:
     depth: str = "16"
     """16 (PNG) or float (EXR)."""
     integration: str = "poisson"
-    """poisson (weighted by confidence) or fourier (Frankot-Chellappa)."""
+    """One view only: poisson (weighted by confidence) or fourier (Frankot-Chellappa)."""
     height_scale: float = 0.05
     """One picture only: height of white, in texture widths."""
     normal_strength: float = 1.0
@@ -240,6 +242,12 @@ class Geometry:
             light = self._given_lights(len(images))
         else:
             btf = self.read.load(self.path)
+            if len(btf.views) > 1:
+                from torchmat.fit import recover_geometry
+
+                found = recover_geometry(btf, tiles=self.tiles)
+                print("; ".join(f"{key}: {value}" for key, value in found.figures.items()))
+                return found.relief
             rows = ((btf.view_index == 0) & (btf.light[:, 2] > 0)).nonzero()[:, 0]  # views run from the pole outward
             images, light, weight = btf.images(rows), btf.light[rows], btf.weights(rows)
         return relief_from_photographs(images, light, weight, self.tiles, self.integration)

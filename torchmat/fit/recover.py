@@ -16,10 +16,11 @@ import torch.nn.functional as functional
 from torch import Tensor
 
 from torchmat import frames
+from torchmat.btf import Btf
 from torchmat.errors import FitError, message
 from torchmat.fit.consistency import Agreement, Captured, agreement, capture, on_surface
 from torchmat.fit.repeatable import one_thread, product
-from torchmat.fit.training import Training
+from torchmat.fit.training import Training, make_training
 from torchmat.geometry import Relief, poisson, relief_from_photographs, slopes_from_normals
 from torchmat.geometry.normals import pad_border
 from torchmat.progress import progress
@@ -75,6 +76,14 @@ def recover_relief(training: Training) -> Recovery:
     if tuple(size) != tuple(found.height.shape[-2:]):
         height = _sharpened(height, _Slopes(slopes, found.confidence, training.tiles))
     return Recovery(found._replace(height=height.to(found.height.dtype)), figures)
+
+
+def recover_geometry(
+    btf: Btf, *, tiles: bool = True, seed: int = 0, dtype: torch.dtype = torch.float32, progress: bool | None = None
+) -> Recovery:
+    """Recover height and normals of a BTF from all its samples; see `recover_relief`."""
+    with torch.no_grad():
+        return recover_relief(make_training(btf, torch.arange(len(btf)), seed, tiles, dtype, progress))
 
 
 def _stereo(training: Training) -> Relief:

@@ -66,7 +66,9 @@ class _Field:
     def __init__(self, height: Tensor, uv: Tensor, slope: Tensor, tiles: bool, centres: bool, span: float) -> None:
         self.map, self.uv, self.slope, self.tiles = height[None], uv, slope, tiles
         rows, columns = height.shape[-2:]
-        self._shifts = centres and slope.shape[-2:] == (1, 1) and rows * columns >= _SHIFT_TEXELS
+        # A shift is a whole number of texels and a blend, both plain floats: no gradient would reach the direction.
+        large = rows * columns >= _SHIFT_TEXELS
+        self._shifts = centres and slope.shape[-2:] == (1, 1) and large and not slope.requires_grad
         if self._shifts:
             texels = slope[:, :, 0, 0].detach() * torch.tensor([columns, -rows], dtype=slope.dtype)  # rows run downward
             self._texels = texels.tolist()
@@ -128,8 +130,8 @@ def trace_view(height: Tensor, view: Tensor, uv: Tensor | None = None, tiles: bo
     """Return where the view rays through plane positions `uv` meet the surface first.
 
     `view` [..., 3, 1, 1] or per pixel; `uv` [2, h, w], by default the texel centres. A linear search from the top with
-    two steps a texel, then regula falsi; differentiable in the height: one Newton step from the root found carries
-    the gradient of the implicit equation ``height(p + z slope) = z``.
+    one step a texel, then regula falsi; differentiable in height, view and `uv`: one Newton step from the root found
+    carries the gradient of the implicit equation ``height(p + z slope) = z``.
     """
     centres = uv is None
     uv, slope, lead = _batched("trace_view", height, view, uv)
@@ -137,7 +139,8 @@ def trace_view(height: Tensor, view: Tensor, uv: Tensor | None = None, tiles: bo
     field = _Field(height, uv, slope, tiles, centres, max(abs(low), abs(high)))
     with torch.no_grad():
         root = _first_root(field, low, high)
-    hit_height = _implicit(field, root) if height.requires_grad else root
+    wanted = torch.is_grad_enabled() and any(x.requires_grad for x in (height, slope, uv))
+    hit_height = _implicit(field, root) if wanted else root
     hit = uv + hit_height * slope
     return Hits(hit.reshape(*lead, *hit.shape[1:]), hit_height.reshape(*lead, *hit_height.shape[1:]))
 

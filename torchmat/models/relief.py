@@ -24,6 +24,8 @@ def shade_texels(material, light: Tensor, view: Tensor) -> Tensor:
     if light.shape[-2:] != (1, 1) or view.shape[-2:] != (1, 1):
         return shade_points(material, texel_centres(*material.size, height.dtype), light, view)
     light, view, lead = _listed(light, view)
+    if not len(light):
+        return height.new_zeros(*lead, 3, *material.size)
     above = (light[:, 2:] > 0) & (view[:, 2:] > 0)
     light, view = _raised(light, above), _raised(view, above)
     (few_lights, which_light), (few_views, which_view) = _distinct(light), _distinct(view)
@@ -39,6 +41,8 @@ def shade_texels(material, light: Tensor, view: Tensor) -> Tensor:
 def shade_points(material, uv: Tensor, light: Tensor, view: Tensor) -> Tensor:
     """Shade a material with a height where view rays through plane positions `uv` [2, h, w] meet it."""
     light, view, lead = _listed(light, view)
+    if not len(light) or not uv.numel():
+        return uv.new_zeros(*lead, 3, *uv.shape[-2:])
     pictures = [_shade_picture(material, uv, *pair) for pair in zip(light, view, strict=True)]
     return torch.stack(pictures).reshape(*lead, *pictures[0].shape)
 

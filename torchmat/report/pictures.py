@@ -12,7 +12,7 @@ from torchmat import colour, frames
 from torchmat.btf import Btf
 from torchmat.errors import DataError, message
 from torchmat.fit import FitResult, predict
-from torchmat.geometry import Relief
+from torchmat.geometry import Relief, normals_from_slopes, slopes_from_height
 from torchmat.render import render
 
 DPI = 120
@@ -163,7 +163,38 @@ def write_pictures(btf: Btf, result: FitResult, folder: Path) -> list[Path]:
         coverage_picture(result, folder / "coverage.png"),
         directions_picture(btf, folder / "directions.png"),
     ]
+    if result.material.has_relief:
+        written += [relief_picture(_relief_of(result), folder / "relief.png"), oblique_picture(btf, result, folder / "oblique.png")]
     return [path for path in written if path is not None]
+
+
+def _relief_of(result: FitResult) -> Relief:
+    if result.relief is not None:
+        return result.relief
+    height = result.material.maps["height"].detach()
+    return Relief(height, normals_from_slopes(slopes_from_height(height, tiles=result.material.tiles)))
+
+
+def oblique_picture(btf: Btf, result: FitResult, path: Path) -> Path:
+    """Draw the flattest views of the held-out samples: measured, as the relief predicts them, and without parallax."""
+    indices = result.split.held_out if len(result.split.held_out) else result.split.train
+    lit = indices[btf.light[indices, 2] > 0.5]
+    indices = lit if len(lit) else indices
+    rows = indices[btf.view[indices, 2].argsort()[:: max(1, len(indices) // 8)][:3]]
+    figure, axes = plotting().subplots(len(rows), 3, figsize=(9, 3.2 * len(rows)), squeeze=False)
+    flat = result.material.surface()
+    for line, sample in zip(axes, rows.tolist(), strict=True):
+        light, view = (d[sample, :, None, None].to(result.material.dtype) for d in (btf.light, btf.view))
+        with torch.no_grad():
+            pictures = (btf.image(sample), result.material.shade(light, view), flat.shade(light, view))
+        scale = max(float(pictures[0].flatten().sort().values[int(0.99 * (pictures[0].numel() - 1))]), 1e-6)
+        directions = f"light {_degrees(btf.light[sample])}, view {_degrees(btf.view[sample])}"
+        names = (f"measured: {directions}", "predicted on the relief", "without parallax and shadow")
+        for axis, picture, name in zip(line, pictures, names, strict=True):
+            axis.imshow(_shown(picture.float() / scale), interpolation="nearest")
+            axis.set_title(name, fontsize=8)
+            axis.set_axis_off()
+    return save_figure(figure, path)
 
 
 def relief_picture(relief: Relief, path: Path) -> Path:
