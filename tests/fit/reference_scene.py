@@ -143,7 +143,7 @@ def colours(rows: int, columns: int, highest: int, seed: int = 11, tiles: bool =
 
 @functools.lru_cache(maxsize=8)
 def relief_scene(
-    rows: int = 24, columns: int = 24, tiles: bool = True, depth: float = 0.07, offset: float = 0.015, finest: int = 6,
+    rows: int = 24, columns: int = 24, tiles: bool = True, depth: float = 0.16, offset: float = 0.015, finest: int = 6,
     views: tuple[tuple[float, int], ...] = VIEWS, lights: tuple[tuple[float, int], ...] = LIGHTS,
 ) -> Scene:
     """Return a Lambert relief of `depth` texture widths, its lowest point `offset` over the plane of the images."""

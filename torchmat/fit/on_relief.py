@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from torchmat.errors import RangeError, ShapeError, check_finite, check_option, message
+from torchmat.fit.distribution import fit_distribution_on_relief
 from torchmat.fit.evaluate import evaluate
 from torchmat.fit.linear import fit_lambert_on_relief
 from torchmat.fit.recover import recover_relief
@@ -41,7 +42,9 @@ def check_given_height(height: Tensor, training: Training) -> Tensor:
 
 
 # Models that fit shadow and ambient themselves; they return None for options that need the common way.
-_OWN_WAYS: dict[str, Callable[..., Fitted | None]] = {"lambert": fit_lambert_on_relief}
+_OWN_WAYS: dict[str, Callable[..., Fitted | None]] = {
+    "lambert": fit_lambert_on_relief, "distribution": fit_distribution_on_relief,
+}
 
 
 def fit_on_relief(training: Training, model: str, options: dict[str, Any], height: Tensor) -> Fitted:

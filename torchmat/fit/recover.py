@@ -19,6 +19,7 @@ from torchmat import frames
 from torchmat.btf import Btf
 from torchmat.errors import FitError, message
 from torchmat.fit.consistency import Agreement, Captured, agreement, capture, on_surface
+from torchmat.fit.refine import image_gradient, limited
 from torchmat.fit.repeatable import one_thread, product
 from torchmat.fit.training import Training, make_training
 from torchmat.geometry import Relief, poisson, relief_from_photographs, slopes_from_normals
@@ -34,7 +35,6 @@ _REFINEMENTS = 4
 _SLOPE_ERROR, _SLOPE_SHARE = 0.05, 0.15
 # What a low rank leaves over is no noise: neighbours in angle and space share it. It counts like 3 independent in 1000.
 _INDEPENDENT = 0.003
-_LONGEST_STEP = 0.75  # texels that the height may move by in one refinement
 _FINE = 4.0  # coarse texels: what is finer is the slopes' alone
 
 
@@ -61,18 +61,21 @@ def recover_relief(training: Training) -> Recovery:
     size = captured.images.shape[-2:]
     slopes = slopes_from_normals(found.normal)
     coarse = _Slopes(_shrink(slopes, size), _shrink(found.confidence, size), training.tiles)
-    start = functional.adaptive_avg_pool2d(found.height, size)
+    start = _shrink(found.height, size).float()  # views are compared in single precision, whatever the fit runs in
     flat = agreement(captured, torch.zeros_like(start)).error
     scale, offset, best = _search(captured, start - start.mean(), flat, training.progress)
     figures |= {"method": "photometric stereo and views", "scale": scale, "offset": offset, "disagreement_flat": flat}
     figures["scale_from"] = "agreement of the views"
+    level = {"scale": 0.0, "offset": 0.0, "disagreement": flat}
     if scale == 0 or best > _GAIN * flat:
-        figures |= {"scale": 0.0, "offset": 0.0, "disagreement": flat}
-        return Recovery(_flattened(found), figures)
+        return Recovery(_flattened(found), figures | level)
     height = scale * (start - start.mean()) + offset
     for _ in progress(range(_REFINEMENTS), "refining the height", show=training.progress):
         height = _refined(captured, height, coarse)
     figures["disagreement"] = agreement(captured, height).error
+    # Between texels interpolation averages noise away, which the search takes for agreement: refined, it is gone.
+    if figures["disagreement"] > _GAIN * flat:
+        return Recovery(_flattened(found), figures | level)
     if tuple(size) != tuple(found.height.shape[-2:]):
         height = _sharpened(height, _Slopes(slopes, found.confidence, training.tiles))
     return Recovery(found._replace(height=height.to(found.height.dtype)), figures)
@@ -168,28 +171,17 @@ class _Slopes(NamedTuple):
         return self.confidence.clamp(min=1e-3) / spread**2
 
 
-def _gradient(images: Tensor, tiles: bool) -> Tensor:
-    """Return the change of images [n, C, h, w] along u and v as [n, 2 C, h, w]."""
-    rows, columns = images.shape[-2:]
-    wide = pad_border(images, tiles)
-    across = (wide[..., 1:-1, 2:] - wide[..., 1:-1, :-2]) * (columns / 2)
-    up = (wide[..., :-2, 1:-1] - wide[..., 2:, 1:-1]) * (rows / 2)
-    return torch.cat((across, up), dim=1)
-
-
 def _refined(captured: Captured, height: Tensor, slopes: _Slopes) -> Tensor:
     """Return the height after one Gauss-Newton step toward the low rank, held together by the slopes."""
     found = agreement(captured, height)
     slope = captured.slope[captured.view_index]
-    across, up = on_surface(captured, _gradient(captured.images, captured.tiles), height).split(3, dim=1)
+    across, up = on_surface(captured, image_gradient(captured.images, captured.tiles), height).split(3, dim=1)
     change = -(across * slope[:, :1] + up * slope[:, 1:]).flatten(1) * found.scale * found.weight
     # What the subspace can follow by itself says nothing of the height.
     change = change - product(found.subspace, product(found.subspace.T, change))
     known, step = _normal_equations(found, change, height.shape[-2:])
-    longest = _LONGEST_STEP / height.shape[-1]
-    anchor = height + step.clamp(-longest, longest)
     with one_thread():
-        return poisson(slopes.slopes, slopes.trust, slopes.tiles, anchor, known).to(height.dtype)
+        return poisson(slopes.slopes, slopes.trust, slopes.tiles, limited(height, step), known).to(height.dtype)
 
 
 def _normal_equations(found: Agreement, change: Tensor, size: Sequence[int]) -> tuple[Tensor, Tensor]:

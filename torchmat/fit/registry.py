@@ -6,6 +6,7 @@ import inspect
 from collections.abc import Callable
 
 from torchmat.errors import RangeError, check_known_keys, check_option, message
+from torchmat.fit.distribution import fit_distribution
 from torchmat.fit.linear import fit_hsh, fit_lambert, fit_lptm, fit_ptm, fit_texture
 from torchmat.fit.pca import fit_local_pca, fit_pca
 from torchmat.fit.phong_srf import fit_phong_srf
@@ -20,6 +21,7 @@ FITTERS: dict[str, Callable[..., Fitted]] = {
     "phong_srf": fit_phong_srf,
     "pca": fit_pca,
     "local_pca": fit_local_pca,
+    "distribution": fit_distribution,
 }
 
 

@@ -15,7 +15,7 @@ from torch import Tensor
 
 from torchmat.btf import Btf
 from torchmat.btf.decode import Decoder
-from torchmat.btf.store import CLIPPED, INVALID, summarise
+from torchmat.btf.store import CLIPPED, INVALID, VALID, summarise
 from torchmat.fit.repeatable import one_thread
 from torchmat.fit.training import Training
 from torchmat.geometry.relief import look_up, ray_slope, soft_shadow, texel_centres, visible
@@ -29,12 +29,24 @@ _DARK = 0.2  # and those below say nothing else
 
 @dataclass(frozen=True)
 class Surface:
-    """Samples on the surface: `training` over a Btf of them, whose pixels may be rewritten, and `lit` [light, 1, H, W]."""
+    """Samples on the surface: `training` over a Btf of them, whose pixels may be rewritten, and `lit` [light, 1, H, W].
 
+    `source` are the samples as the images show them.
+    """
+
+    source: Training
     training: Training
     pixels: np.ndarray
     flags: np.ndarray
     lit: Tensor
+
+    def values(self, samples: slice | Tensor) -> tuple[Tensor, Tensor]:
+        """Return values [k, 3, H, W] of some samples and what they count, [k, 1, H, W] in [0, 1]."""
+        index = samples if isinstance(samples, slice) else samples.numpy()
+        flags = torch.from_numpy(np.ascontiguousarray(self.flags[index]))[:, None]
+        weight = (flags == VALID).to(self.training.dtype)
+        clipped = self.training.btf.clipped_weight * (flags == CLIPPED)
+        return torch.from_numpy(np.ascontiguousarray(self.pixels[index])), weight + clipped
 
     def shadow(self, samples: slice | range) -> Tensor:
         """Return how much light reaches each texel in some samples, [k, 1, H, W]."""
@@ -44,7 +56,8 @@ class Surface:
 def _space(shape: tuple[int, ...], dtype: type) -> np.ndarray:
     if np.prod(shape) * np.dtype(dtype).itemsize <= _IN_MEMORY:
         return np.empty(shape, dtype)
-    return np.memmap(tempfile.TemporaryFile(prefix="torchmat-"), dtype, "w+", shape=shape)
+    with tempfile.TemporaryFile(prefix="torchmat-") as file:  # the map keeps it alive
+        return np.memmap(file, dtype, "w+", shape=shape)
 
 
 def bring_onto(training: Training, height: Tensor) -> Surface:
@@ -83,7 +96,7 @@ def _surface(
     used = torch.ones(len(btf), dtype=torch.bool)
     # Lights are sorted as in the source, but those without a training sample are gone.
     kept = torch.tensor([int((source.lights - one).square().sum(dim=1).argmin()) for one in btf.lights])
-    return Surface(replace(training, btf=btf, used=used), pixels, flags, lit[kept])
+    return Surface(training, replace(training, btf=btf, used=used), pixels, flags, lit[kept])
 
 
 def ambient(surface: Surface) -> Tensor:

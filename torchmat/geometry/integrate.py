@@ -95,22 +95,31 @@ def poisson(
             lambda h: _adjoint(share * _differences(h, tiles), tiles), right - right.mean(), precondition
         )
         return (found - found.mean())[None].to(slopes.dtype)
-    check_finite("poisson", "anchor", anchor)
+    known = _map("anchor", anchor, size)
     # A slope is a rise a texel times the width: its inverse variance shrinks by the width squared.
     pull = _weight("anchor_weight", anchor_weight, size) / (most * size[1] ** 2)
-    known = anchor.double().reshape(size)
+    total = pull.sum()
+    known = torch.where(pull > 0, known, (pull * known).sum() / total)
 
     def apply(height: Tensor) -> Tensor:
         return _adjoint(share * _differences(height, tiles), tiles) + pull * height
 
     precondition = _laplace_inverse(tiles, *size, float(pull.mean() / share.mean()))
-    moved = _conjugate_gradients(apply, right + pull * known - apply(known), precondition)  # the anchor is the start
-    return (known + moved)[None].to(slopes.dtype)
+    found = known + _conjugate_gradients(apply, right + pull * known - apply(known), precondition)
+    # The mean costs no slope: where the anchor is weak it hardly shows in the residual, so it is solved for by itself.
+    found = found + (pull * (known - found)).sum() / total
+    return found[None].to(slopes.dtype)
+
+
+def _map(name: str, values: Tensor, size: torch.Size) -> Tensor:
+    if values.shape not in (size, (1, *size)):
+        raise ShapeError(message("poisson", name, f"be [1, {size[0]}, {size[1]}]", f"it is {tuple(values.shape)}"))
+    check_finite("poisson", name, values)
+    return values.double().reshape(size)
 
 
 def _weight(name: str, weight: Tensor | None, size: torch.Size) -> Tensor:
-    trust = torch.ones(size, dtype=torch.float64) if weight is None else weight.double().reshape(size)
-    check_finite("poisson", name, trust)
+    trust = torch.ones(size, dtype=torch.float64) if weight is None else _map(name, weight, size)
     if bool((trust < 0).any()) or not bool((trust > 0).any()):
         fact = "some are negative" if bool((trust < 0).any()) else "all are 0"
         raise RangeError(message("poisson", name, "be >= 0 and somewhere positive", fact))

@@ -8,6 +8,8 @@ what the ray through p meets. Texture coordinates run 0..1, u to the right, v up
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
+from itertools import islice
 from typing import NamedTuple
 
 import torch
@@ -79,11 +81,12 @@ class _Field:
         """Return the surface at uv + z slope, [N, 1, h, w], for a height per pixel."""
         return look_up(self.map, self.uv + z * self.slope, self.tiles)
 
-    def along(self, z: float) -> Tensor:
-        """Return the same for one height; |z| at most the span given."""
+    def along(self, z: Tensor) -> Tensor:
+        """Return the same for one height per direction [N, 1, 1 or h, 1 or w]; |z| at most the span given."""
         if not self._shifts:
-            return look_up(self.map, self.uv + z * self.slope, self.tiles)
-        return torch.stack([self._shifted(z * across, z * down) for across, down in self._texels])
+            return self.at(z)
+        heights = z.flatten().tolist()
+        return torch.stack([self._shifted(z * x, z * y) for z, (x, y) in zip(heights, self._texels, strict=True)])
 
     def _shifted(self, across: float, down: float) -> Tensor:
         rows, columns = self.map.shape[-2:]
@@ -121,9 +124,15 @@ def _batched(where: str, height: Tensor, direction: Tensor, uv: Tensor | None) -
     return uv, slope, lead
 
 
-def _steps(slope: Tensor, span: float, rows: int, columns: int) -> int:
+def _walk(slope: Tensor, span: float, rows: int, columns: int) -> Iterator[Tensor]:
+    """Yield the share of the way, 0 to 1, that each ray has gone after each step, [N, 1, 1 or h, 1 or w].
+
+    Every ray takes steps of its own length, so that what it meets does not depend on the others of the call.
+    """
     texels = slope.detach() * torch.tensor([columns, rows], dtype=slope.dtype)[:, None, None]
-    return int(math.ceil(float(texels.norm(dim=1).max()) * span * _STEPS_PER_TEXEL)) + 2
+    count = (texels.norm(dim=1, keepdim=True) * (span * _STEPS_PER_TEXEL)).ceil() + 2
+    for step in range(int(count.max()) + 1):
+        yield (step / count).clamp(max=1)
 
 
 def trace_view(height: Tensor, view: Tensor, uv: Tensor | None = None, tiles: bool = True) -> Hits:
@@ -159,18 +168,16 @@ def _implicit(field: _Field, root: Tensor) -> Tensor:
 
 def _first_root(field: _Field, low: float, high: float) -> Tensor:
     """Return the largest z at which the surface at uv + z slope reaches z, [N, 1, h, w]."""
-    count = _steps(field.slope, high - low, *field.map.shape[-2:])
-    last = high
-    gap_last = field.along(high) - high
+    last = torch.full_like(field.slope[:, :1], high)
+    gap_last = field.along(last) - last
     above, gap_above = torch.full_like(gap_last, high), gap_last
     below, gap_below = above.clone(), gap_last
     found = torch.zeros_like(above, dtype=torch.bool)
-    for step in range(count + 1):
-        z = high - (high - low) * step / count
+    for share in _walk(field.slope, high - low, *field.map.shape[-2:]):
+        z = high - (high - low) * share
         here = field.along(z) - z
         new = (here >= 0) & ~found
-        above.masked_fill_(new, last)
-        below.masked_fill_(new, z)
+        above, below = torch.where(new, last, above), torch.where(new, z, below)
         gap_above, gap_below = torch.where(new, gap_last, gap_above), torch.where(new, here, gap_below)
         found |= new
         last, gap_last = z, here
@@ -194,13 +201,12 @@ def clearance(height: Tensor, direction: Tensor, uv: Tensor | None = None, tiles
     span = float(height.detach().max() - height.detach().min())
     field = _Field(height, uv, slope, tiles, centres, span)
     run = slope.norm(dim=1, keepdim=True).clamp(min=1e-6)  # distance along the plane for each unit of height
-    start = field.along(0.0)
+    start = field.along(torch.zeros_like(run))
     least = (1 / run).expand_as(start)  # what a flat surface leaves free
-    count = _steps(slope, span, *height.shape[-2:])
-    for step in range(1, count + 1):
-        z = span * step / count
-        if z > 0:
-            least = torch.minimum(least, (start + z - field.along(z)) / (z * run))
+    shares = islice(_walk(slope, span, *height.shape[-2:]), 1, None) if span > 0 else ()
+    for share in shares:
+        z = span * share
+        least = torch.minimum(least, (start + z - field.along(z)) / (z * run))
     return least.reshape(*lead, *least.shape[1:])
 
 

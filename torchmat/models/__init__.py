@@ -1,12 +1,13 @@
 """Materials: maps plus a differentiable shade(light, view); the table of all of them."""
 
 from torchmat.models.base import Material
+from torchmat.models.distribution import Distribution
 from torchmat.models.linear import Hsh, Lambert, Lptm, Ptm, Texture
 from torchmat.models.pca import LocalPca, Pca
 from torchmat.models.phong_srf import PhongSrf
 
 MATERIALS: dict[str, type[Material]] = {
-    model.name: model for model in (Texture, Lambert, Ptm, Lptm, Hsh, PhongSrf, Pca, LocalPca)
+    model.name: model for model in (Texture, Lambert, Ptm, Lptm, Hsh, PhongSrf, Pca, LocalPca, Distribution)
 }
 
-__all__ = ["MATERIALS", "Hsh", "Lambert", "LocalPca", "Lptm", "Material", "Pca", "PhongSrf", "Ptm", "Texture"]
+__all__ = ["MATERIALS", "Distribution", "Hsh", "Lambert", "LocalPca", "Lptm", "Material", "Pca", "PhongSrf", "Ptm", "Texture"]

@@ -41,6 +41,9 @@ class Material(nn.Module):
         self._parts = tuple(part for part in PARTS if part.name in maps)
         specs = self.specs()
         check_known_keys(self.name, maps, [spec.name for spec in specs])
+        if "ambient" in maps and "height" not in maps:
+            step = "Use on_relief(height, ambient)."
+            raise ShapeError(message(self.name, "height", "be there for an ambient map", "it is not", step))
         missing = [spec.name for spec in specs if spec.name not in maps]
         if missing:
             fact = f"{', '.join(missing)} is missing"
@@ -177,13 +180,14 @@ class Material(nn.Module):
     def on_relief(self, height: Tensor, ambient: Tensor | None = None) -> Self:
         """Return the material on a relief: `height` [1, H, W] in texture widths, `ambient` [3, H, W]."""
         parts = {"height": height} if ambient is None else {"height": height, "ambient": ambient}
-        return self.with_maps(**parts)
+        own = {spec.name: self.maps[spec.name] for spec in self.own_specs()}
+        return type(self)({**own, **parts}, storage=self.storage, tiles=self.tiles, **self.options)
 
     def surface(self) -> Self:
         """Return the material without its relief: what one texel does with its light."""
-        return self._sharing({spec.name: self.maps[spec.name] for spec in self.own_specs()})
+        return self.sharing({spec.name: self.maps[spec.name] for spec in self.own_specs()})
 
-    def _sharing(self, maps: dict[str, Tensor]) -> Self:
+    def sharing(self, maps: dict[str, Tensor]) -> Self:
         """Return a flat material of these very tensors, not of copies: gradients pass through to what they came from."""
         other = copy.copy(self)
         other.__dict__ = dict(self.__dict__)
@@ -211,7 +215,7 @@ class Material(nn.Module):
         for spec in self.specs():
             value = self.maps[spec.name]
             found[spec.name] = value if spec.constant or not spec.per_texel else self._look_up(value, uv, spec.index)
-        return self._sharing(found)
+        return self.sharing(found)
 
     def _look_up(self, value: Tensor, uv: Tensor, nearest: bool) -> Tensor:
         return look_up(value[None], uv[None].to(value.dtype), self.tiles, "nearest" if nearest else "bilinear")[0]

@@ -59,7 +59,7 @@ class Lambert(Material):
         flat = super().surface()
         if self._normals == "height":
             flat.maps["normal"] = normals_from_slopes(slopes_from_height(self.maps["height"], tiles=self.tiles))
-            flat._normals = "map"
+            flat._normals, flat.options = "map", {**self.options, "normals": "map"}
         return flat
 
     def value(self, light: Tensor, view: Tensor) -> Tensor:

@@ -5,6 +5,7 @@ A material predicts what its textures hold, so both the writer and `Material.as_
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -138,9 +139,14 @@ def encode(spec: MapSpec, value: Tensor, storage: str) -> Codes:
     width = torch.where(high > low, high - low, torch.ones_like(low))
     share = (planes - low[:, None, None]) / width[:, None, None]
     if transfer == "srgb":
-        share = colour.linear_to_srgb(share)
+        share = _per_channel(colour.linear_to_srgb, share)
     codes = (share * kind.levels).round().clamp(0, kind.levels)  # the clamp meets rounding errors of 1e-16 only
     return Codes(codes.permute(1, 2, 0).numpy().astype(kind.dtype), tuple(low.tolist()), tuple(high.tolist()), transfer)
+
+
+def _per_channel(curve: Callable[[Tensor], Tensor], planes: Tensor) -> Tensor:
+    """Apply a curve that asks for three channels to planes [C, H, W] of any number."""
+    return curve(planes.flatten()[None, None].expand(3, 1, -1))[0].reshape(planes.shape)
 
 
 def _span(spec: MapSpec, planes: Tensor) -> tuple[Tensor, Tensor]:
@@ -158,7 +164,7 @@ def decode(codes: Codes) -> Tensor:
         return torch.from_numpy(np.ascontiguousarray(pixels.transpose(2, 0, 1)).astype(np.float32))
     share = torch.from_numpy(pixels.transpose(2, 0, 1).astype(np.float64) / np.iinfo(pixels.dtype).max)
     if codes.transfer == "srgb":
-        share = colour.srgb_to_linear(share)
+        share = _per_channel(colour.srgb_to_linear, share)
     low = torch.tensor(codes.low, dtype=torch.float64)[:, None, None]
     high = torch.tensor(codes.high, dtype=torch.float64)[:, None, None]
     return (low + share * (high - low)).float().contiguous()
