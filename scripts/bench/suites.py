@@ -10,16 +10,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import reliefs
 import torch
 from measure import SHARED, in_fresh_process, median_of, timed
 
 import torchmat as tm
 from torchmat.btf.btf import Btf, summarise
 from torchmat.btf.decode import Decoder
-from torchmat.btf.photographs import read_lights, read_photographs
 from torchmat.fit.registry import FITTERS, resolve_options
 from torchmat.fit.training import make_training
-from torchmat.geometry import photometric_stereo, relief_from_photographs, soft_shadow, trace_view
 from torchmat.report.compare import DEFAULT_MODELS, parse_model
 
 _WALLPAPER = SHARED / "real" / "ubo2003_wallpaper"
@@ -244,53 +243,7 @@ def large() -> list[dict[str, Any]]:
     return rows
 
 
-def _frontal(name: str) -> tuple[torch.Tensor, torch.Tensor, dict[str, np.ndarray]]:
-    btf = tm.load_btf(SHARED / "reference" / f"{name}.zip")
-    rows = ((btf.view_index == 0) & (btf.light[:, 2] > 0.2)).nonzero()[:, 0]
-    with np.load(SHARED / "reference" / f"{name}_truth.npz") as truth:
-        return btf.images(rows), btf.light[rows], {key: truth[key] for key in truth.files}
-
-
-def geometry() -> list[dict[str, Any]]:
-    """Photometric stereo of the frontal views against the truth, and the speed of stereo, parallax and shadow."""
-    rows = []
-    for name in ("stones", "leather", "wallpaper", "weave_ubo2003", "disk"):
-        images, light, truth = _frontal(name)
-        speed = timed(lambda images=images, light=light: relief_from_photographs(images, light, None, True, "fourier"))
-        found = relief_from_photographs(images, light, None, True, "fourier")
-        cosine = (found.normal.numpy() * truth["normal"].transpose(2, 0, 1)).sum(axis=0)
-        height, wanted = found.height[0].numpy(), truth["height"] - truth["height"].mean()
-        flat = wanted.std() == 0
-        rows.append({
-            "data": name, "stereo and integration": speed,
-            "median normal error (degrees)": float(np.median(np.degrees(np.arccos(cosine.clip(-1, 1))))),
-            "height correlation": None if flat else float(np.corrcoef(height.ravel(), wanted.ravel())[0, 1]),
-            "height RMS error / std": None if flat else float((height - wanted).std() / wanted.std()),
-            "height range": float(np.ptp(height)),
-        })
-        print(rows[-1], flush=True)
-    return rows + _geometry_speed()
-
-
-def _geometry_speed() -> list[dict[str, Any]]:
-    generator = torch.Generator().manual_seed(0)
-    coarse = 0.1 * torch.rand(1, 1, 24, 24, generator=generator)
-    height = torch.nn.functional.interpolate(coarse, size=(512, 512), mode="bicubic").clamp(0, 0.1)[0]
-    direction = torch.tensor([0.5, 0.3, 0.812])[:, None, None]
-    both = timed(lambda: (trace_view(height, direction), soft_shadow(height, direction)), 15)
-    folder = SHARED / "real" / "psbox_cat"
-    images = read_photographs(folder / "Objects")
-    light = read_lights(folder / "light_directions.txt", len(images))
-    stereo = timed(lambda: photometric_stereo(images, light))
-    rows = [
-        {"what": "parallax and shadow, 512 x 512, one view and light", "speed": both},
-        {"what": "photometric stereo, 12 images of 430 x 550", "speed": stereo},
-    ]
-    print(rows, flush=True)
-    return rows
-
-
 SUITES = {
     "accuracy": accuracy, "pipeline": pipeline, "start_up": start_up, "loading": loading, "shading": shading, "large": large,
-    "geometry": geometry,
+    "geometry": reliefs.geometry, "relief": reliefs.relief, "distribution": reliefs.distribution,
 }

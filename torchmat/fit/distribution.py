@@ -18,14 +18,16 @@ from torch import Tensor
 from torchmat import colour, safe
 from torchmat.errors import RangeError, check_option, message
 from torchmat.fit.refine import refine_height
+from torchmat.fit.repeatable import one_thread
 from torchmat.fit.surface import Surface, bring_onto
 from torchmat.fit.training import Fitted, Training
 from torchmat.frames import half_vector, tangent_frame
 from torchmat.geometry import normals_from_slopes, photometric_stereo, slopes_from_height, slopes_from_normals
 from torchmat.models import Distribution
+from torchmat.models.storage import STORAGES
 from torchmat.progress import progress
 
-STEP_LIMIT, NOT_FINITE = "step limit", "not finite"
+STEP_LIMIT, NOT_FINITE, DIVERGED = "step limit", "not finite", "diverged"
 AUTO = ("auto", "yes", "no")
 _DISPLAY = 1 / 2.2
 _DARKEST = 0.01  # of the mean value: differences below that no display shows
@@ -39,6 +41,7 @@ _GAIN_DB = 0.08  # what one more part must bring in a pilot run
 _MOST_LOBES = 3
 _BLOCK_VALUES = 2_000_000
 _SNAPSHOT = 100
+_WORSE = 8  # times the lowest error so far: no batch is that much harder than the rest
 
 
 @dataclass(frozen=True)
@@ -96,11 +99,13 @@ class _Fit:
     effort: float
     storage: str
     history: list[tuple[float, float]] = field(default_factory=list)
+    templates: dict[_Parts, Distribution] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         where = "fit distribution"
         check_option(where, "fresnel", self.fresnel, AUTO)
         check_option(where, "rotation", self.rotation, AUTO)
+        check_option(where, "storage", self.storage, STORAGES)
         if self.lobes < 0 or self.lobes > 12:
             raise RangeError(message(where, "lobes", "lie in 0 (automatic) to 12", f"it is {self.lobes}"))
         if not 4 <= self.specular_size <= 1024:
@@ -115,18 +120,19 @@ class _Fit:
         starts = self._starts()
         parts, pilots = self._choose(starts)
         raw = _raw_maps(starts, parts, self.specular_size, training)
-        reason = STEP_LIMIT
+        reason, taken = STEP_LIMIT, 0
         rounds = _ROUNDS if self.height is not None else (sum(_ROUNDS),)
         for number, steps in enumerate(rounds):
             if number > 0:
                 self._move_height(raw, parts)
             steps = max(1, round(steps * self.effort))
+            taken += steps
             rate = _RATE if number == 0 else _RATE * 2 / 3
             reason = self._optimise(raw, parts, self.surface, steps, rate, range(len(training.btf)), self.history)
-            if reason == NOT_FINITE:
+            if reason != STEP_LIMIT:
                 break
         material = self._material(raw, parts)
-        figures = {"parts": parts.names, "lobes": parts.lobes, "pilots": pilots, "adam_steps": sum(rounds)}
+        figures = {"parts": parts.names, "lobes": parts.lobes, "pilots": pilots, "adam_steps": taken}
         return Fitted(material, reason, None, figures, history=self.history)
 
     def _mean_value(self) -> float:
@@ -222,10 +228,17 @@ class _Fit:
         btf, dtype = surface.training.btf, surface.training.dtype
         light, view = (d[rows][:, :, None, None].to(dtype) for d in (btf.light, btf.view))
         maps = _maps_of(raw, parts)
-        shaded = _flat(maps, parts).value(light, view)
+        shaded = self._flat(maps, parts).value(light, view)
         if self.height is None:
             return shaded
         return shaded * surface.lit[btf.light_index[rows]] + raw["ambient"].exp()
+
+    def _flat(self, maps: dict[str, Tensor], parts: _Parts) -> Distribution:
+        if parts not in self.templates:
+            found = {name: value.detach() for name, value in maps.items()}
+            self.templates[parts] = Distribution(found, lobes=parts.lobes, parts=parts.names)
+        # Not checked again at each step: maps that are no longer finite show in the error.
+        return self.templates[parts].sharing(maps)
 
     def _optimise(
         self, raw: dict[str, Tensor], parts: _Parts, surface: Surface, steps: int, rate: float, rows: Any,
@@ -240,11 +253,12 @@ class _Fit:
         solver = torch.optim.Adam(groups, betas=(0.9, 0.99))
         generator = torch.Generator().manual_seed(training.seed)
         order, place = rows[torch.randperm(len(rows), generator=generator)], 0
-        kept, running = {name: value.detach().clone() for name, value in raw.items()}, None
-        for step in progress(range(steps), "fitting all maps", show=training.progress if steps > _PILOT else False):
-            if place + images > len(order):
-                order, place = rows[torch.randperm(len(rows), generator=generator)], 0
-            batch, place = order[place : place + images], place + images
+        kept, lowest, running, reason = {}, math.inf, None, STEP_LIMIT
+        for step in progress(range(steps + 1), "fitting all maps", show=training.progress if steps > _PILOT else False):
+            if step < steps:  # once more at the end: the last step is judged as well
+                if place + images > len(order):
+                    order, place = rows[torch.randperm(len(rows), generator=generator)], 0
+                batch, place = order[place : place + images], place + images
             share = min(1.0, (step + 1) / 20) * (0.03 + 0.97 * 0.5 * (1 + math.cos(math.pi * step / steps)))
             for group in solver.param_groups:
                 group["lr"] = group["rate"] * share
@@ -252,21 +266,26 @@ class _Fit:
             with torch.enable_grad():
                 gap = _shown(self._predict(raw, parts, surface, batch), self.darkest) - _shown(values, self.darkest)
                 loss = (gap.square() * valid).mean()
-            solver.zero_grad()
-            loss.backward()
-            solver.step()
             now = float(loss.detach())
             if not math.isfinite(now):
-                for name, value in raw.items():
-                    value.detach_().copy_(kept[name])
-                return NOT_FINITE
+                reason = NOT_FINITE
+                break
             running = now if running is None else 0.98 * running + 0.02 * now
-            if (step + 1) % _SNAPSHOT == 0:
-                kept = {name: value.detach().clone() for name, value in raw.items()}
+            if step > 0 and (step % _SNAPSHOT == 0 or step == steps):
                 history.append((time.perf_counter() - self.start, running))
-        for value in raw.values():
-            value.requires_grad_(False)
-        return STEP_LIMIT
+            if step % _SNAPSHOT == 0 and running < lowest:
+                kept, lowest = {name: value.detach().clone() for name, value in raw.items()}, running
+            if step < steps:
+                solver.zero_grad()
+                loss.backward()
+                solver.step()
+        if reason == STEP_LIMIT and running > _WORSE * lowest:
+            reason = DIVERGED
+        for name, value in raw.items():
+            value.detach_().requires_grad_(False)
+            if reason != STEP_LIMIT and name in kept:
+                value.copy_(kept[name])
+        return reason
 
     def _move_height(self, raw: dict[str, Tensor], parts: _Parts) -> None:
         surface, texels = self.surface, torch.arange(len(self.surface.training.btf))
@@ -277,11 +296,11 @@ class _Fit:
         self.height = refine_height(
             surface, self.height, raw["slopes"], lambda run: self._predict(raw, parts, surface, texels[run]), steepness
         )
-        self.surface = bring_onto(surface.source, self.height)
+        self.surface = bring_onto(surface.source, self.height, into=surface)
 
     def _material(self, raw: dict[str, Tensor], parts: _Parts) -> Distribution:
         maps = _maps_of(raw, parts)
-        most = maps["specular_mask"].max()
+        most = maps["specular_mask"].max().clamp(min=torch.finfo(maps["specular_mask"].dtype).tiny)
         maps |= {"specular_mask": maps["specular_mask"] / most, "specular": maps["specular"] * most}
         tiles = self.surface.training.tiles
         if self.height is not None:
@@ -305,7 +324,8 @@ def _raw_maps(starts: dict[str, Tensor], parts: _Parts, size: int, training: Tra
     axis = (torch.arange(size, dtype=dtype) + 0.5) / size * 2 - 1
     distance = axis[:, None] ** 2 + axis[None, :] ** 2
     noise = torch.randn(3 * parts.lobes, 1, 1, generator=generator, dtype=torch.float64).to(dtype)
-    brightness = float(mean.mean())
+    with one_thread():
+        brightness = float(mean.mean())
     raw = {
         "diffuse": mean.log(),
         "ambient": (0.05 * mean).log(),
@@ -344,11 +364,6 @@ def _maps_of(raw: dict[str, Tensor], parts: _Parts) -> dict[str, Tensor]:
     if parts.rotation:
         maps["rotation"] = torch.cat((torch.cos(raw["rotation"]), torch.sin(raw["rotation"])))
     return maps
-
-
-def _flat(maps: dict[str, Tensor], parts: _Parts) -> Distribution:
-    template = Distribution({name: value.detach() for name, value in maps.items()}, lobes=parts.lobes, parts=parts.names)
-    return template.sharing(maps)
 
 
 def _anisotropy(surface: Surface, mean: Tensor, slopes: Tensor) -> dict[str, Tensor]:

@@ -72,7 +72,7 @@ def fit(
 
     Raises RangeError for unknown models or options, FitError when the data cannot determine the model.
     """
-    given_height = torch.as_tensor(geometry) if geometry is not None and not isinstance(geometry, str) else None
+    given_height = None if geometry is None or isinstance(geometry, str) else _as_height(geometry)
     way = {"geometry": geometry} if isinstance(geometry, str) else {}
     given = {"holdout": holdout, "holdout_by": holdout_by, "seed": seed, "tiles": tiles, **way}
     config = _resolve(model, given, options)
@@ -100,6 +100,19 @@ def fit(
     return FitResult(
         fitted.material, fitted.stop_reason, report, split, fitted.coverage, errors, fitted.relief, fitted.history
     )
+
+
+def _as_height(geometry: Any) -> Tensor:
+    """Return a height map given as a tensor or array; raises RangeError for what is none."""
+    try:
+        height = torch.as_tensor(geometry)
+        if height.is_complex():
+            raise TypeError("complex numbers")
+        return height if height.is_floating_point() else height.double()
+    except (TypeError, ValueError, RuntimeError, NotImplementedError) as error:
+        step = "Give 'flat', 'recover', or a height map [1, H, W] in texture widths."
+        fact = f"it is {type(geometry).__name__}: {error}"
+        raise RangeError(message("fit", "geometry", "be a height map", fact, step)) from error
 
 
 def _resolve(model: str | Path | FitConfig, given: dict[str, Any], options: dict[str, Any]) -> FitConfig:

@@ -56,7 +56,7 @@ def recover_relief(training: Training) -> Recovery:
     found = _stereo(training)
     figures: dict[str, Any] = {"method": "photometric stereo", "offset": 0.0, "scale": 1.0}
     if not _has_parallax(training):
-        return Recovery(found, figures | {"scale_from": "photometric stereo: too few views for parallax"})
+        return Recovery(found, figures | {"scale_from": "photometric stereo: too few views, or too close to each other, for parallax"})
     captured = capture(training)
     size = captured.images.shape[-2:]
     slopes = slopes_from_normals(found.normal)

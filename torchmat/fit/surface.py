@@ -60,8 +60,8 @@ def _space(shape: tuple[int, ...], dtype: type) -> np.ndarray:
         return np.memmap(file, dtype, "w+", shape=shape)
 
 
-def bring_onto(training: Training, height: Tensor) -> Surface:
-    """Resample the training samples onto the surface of `height` [1, H, W]."""
+def bring_onto(training: Training, height: Tensor, into: Surface | None = None) -> Surface:
+    """Resample the training samples onto the surface of `height` [1, H, W]; the pixels of `into` are written over."""
     btf, dtype = training.btf, training.dtype
     rows = training.used.nonzero()[:, 0]
     height = height.to(dtype)
@@ -70,8 +70,11 @@ def bring_onto(training: Training, height: Tensor) -> Surface:
     lit = torch.cat([soft_shadow(height, v[None], tiles=training.tiles) for v in light])
     slope = ray_slope(view, btf.height, btf.width)
     centres = texel_centres(btf.height, btf.width, dtype)
-    pixels = _space((len(rows), 3, btf.height, btf.width), np.float64 if dtype == torch.float64 else np.float32)
-    flags = _space((len(rows), btf.height, btf.width), np.uint8)
+    if into is None:
+        pixels = _space((len(rows), 3, btf.height, btf.width), np.float64 if dtype == torch.float64 else np.float32)
+        flags = _space((len(rows), btf.height, btf.width), np.uint8)
+    else:
+        pixels, flags = into.pixels, into.flags
     parts = torch.arange(len(rows)).split(max(1, _BLOCK // (3 * btf.height * btf.width)))
     for part in progress(parts, "onto the surface", show=training.progress):
         which = btf.view_index[rows[part]]

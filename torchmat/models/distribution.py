@@ -57,6 +57,7 @@ class Distribution(Material):
             check_option(self.name, "parts", part, DISTRIBUTION_PARTS)
         chosen = [part for part in DISTRIBUTION_PARTS if part in parts]
         self._lobes, self._chosen, self._mask_channels = lobes, chosen, mask_channels
+        self._kept_frame: tuple[list[Tensor], list[int], Tensor] | None = None
         options = {"lobes": lobes, "parts": chosen, "mask_channels": mask_channels, "fresnel_exponent": fresnel_exponent}
         super().__init__(maps, **options, **settings)
         self._check_tables()
@@ -106,28 +107,49 @@ class Distribution(Material):
         return flat
 
     def value(self, light: Tensor, view: Tensor) -> Tensor:
-        normal = safe.normalise(self.maps["normal"]) if "normal" in self.maps else None
-        n_dot_l, n_dot_v = ((_dot(direction, normal)).clamp(min=0) for direction in (light, view))
+        frame = self._frame()
+        normal = None if frame is None or "normal" not in self.maps else frame[:, 2:]
+        n_dot_l, n_dot_v = (_dot(direction, normal).clamp(min=0) for direction in (light, view))
         diffuse = self.maps["diffuse"] * n_dot_l
-        return diffuse if self._lobes == 0 else diffuse + self._specular(light, view, normal, n_dot_l, n_dot_v)
+        return diffuse if self._lobes == 0 else diffuse + self._specular(light, view, frame, n_dot_l, n_dot_v)
 
-    def _specular(self, light: Tensor, view: Tensor, normal: Tensor | None, n_dot_l: Tensor, n_dot_v: Tensor) -> Tensor:
+    def _specular(self, light: Tensor, view: Tensor, frame: Tensor | None, n_dot_l: Tensor, n_dot_v: Tensor) -> Tensor:
         maps = self.maps
-        half = frames.half_vector(light, view)
-        local = half if normal is None and "rotation" not in maps else combine(half, self._frame(normal))
-        colour = self._looked_up(local)
+        # Both have length 1, so |L + V|^2 = 2 + 2 L.V; the bound keeps opposite directions, of no half vector, finite.
+        cosine = (light * view).sum(dim=-3, keepdim=True)
+        shorten = torch.rsqrt((2 + 2 * cosine).clamp(min=1e-8))
+        half = (light + view) * shorten
+        colour = self._looked_up(half if frame is None else combine(half, frame))
         a, b = (n_dot_l, n_dot_v) if "tilt" not in maps else (self._tilted(n_dot_l), self._tilted(n_dot_v))
         share = math.pi * n_dot_l / (a + b - a * b + _GRAZING)
         if "fresnel" in maps:
-            grazing = (1 - (light * half).sum(dim=-3, keepdim=True)).clamp(min=0)
+            grazing = (1 - (1 + cosine) * shorten).clamp(min=0)
             share = share * (maps["fresnel"] + (1 - maps["fresnel"]) * grazing ** self.options["fresnel_exponent"])
         if "specular_mask" in maps:
             share = share * maps["specular_mask"]
         return colour * share
 
-    def _frame(self, normal: Tensor | None) -> Tensor:
-        """Return tangent, bitangent and normal, turned by the rotation, as [xyz, 3, H, W]."""
-        if normal is None:
+    def _frame(self) -> Tensor | None:
+        """Return tangent, bitangent and normal, turned by the rotation, as [xyz, 3, H, W]; None where nothing turns.
+
+        Without gradients it is kept for the next picture, as long as the maps are the same tensors, unchanged.
+        """
+        sources = [self.maps[name] for name in ("normal", "rotation") if name in self.maps]
+        if not sources:
+            return None
+        versions = [tensor._version for tensor in sources]
+        if torch.is_grad_enabled():
+            return self._make_frame()
+        known = self._kept_frame
+        same = known is not None and known[1] == versions and all(a is b for a, b in zip(known[0], sources, strict=True))
+        if not same:
+            self._kept_frame = known = (sources, versions, self._make_frame())
+        return known[2]
+
+    def _make_frame(self) -> Tensor:
+        if "normal" in self.maps:
+            normal = safe.normalise(self.maps["normal"])
+        else:
             normal = torch.zeros(3, *self.size, dtype=self.dtype)
             normal[2] = 1
         tangent, bitangent = frames.tangent_frame(normal)
@@ -162,7 +184,8 @@ class Distribution(Material):
 
 
 def _dot(direction: Tensor, normal: Tensor | None) -> Tensor:
-    return direction[..., 2:3, :, :] if normal is None else combine(direction, normal[:, None])
+    """Return the cosine between directions and normals [3, 1, H, W], or with +z."""
+    return direction[..., 2:3, :, :] if normal is None else combine(direction, normal)
 
 
 def default_tilt(dtype: torch.dtype = torch.float32) -> Tensor:
