@@ -25,6 +25,8 @@ MODELS = (
 
 
 def _load(name: str) -> Btf:
+    if name == "sample":
+        return tm.load_btf(tm.sample_path())
     if name == "real wallpaper":
         return tm.load_btf(SHARED / "real" / "ubo2003_wallpaper")
     return tm.load_btf(SHARED / "reference" / f"{name}.zip")
@@ -107,7 +109,7 @@ def relief() -> list[dict[str, Any]]:
 def distribution() -> list[dict[str, Any]]:
     """The distribution material with recovered geometry: error after export, bytes, seconds; and its shading speed."""
     rows = []
-    for data in REFERENCES:
+    for data in (*REFERENCES, "sample"):
         btf, tiles = _load(data), data != "disk"
         start = time.perf_counter()
         result = tm.fit(btf, "distribution", geometry="recover", tiles=tiles, measure=True)

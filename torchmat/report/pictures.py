@@ -124,6 +124,19 @@ def coverage_picture(result: FitResult, path: Path) -> Path | None:
     return save_figure(figure, path)
 
 
+def history_picture(result: FitResult, path: Path) -> Path | None:
+    """Plot the error of an iterative fit against seconds; None for a closed form."""
+    if not result.history:
+        return None
+    seconds, errors = zip(*result.history, strict=True)
+    figure, axis = plotting().subplots(figsize=(4.4, 3.4))
+    axis.semilogy(seconds, errors, marker=".")
+    axis.set_xlabel("seconds")
+    axis.set_ylabel("mean squared residual of the solver")
+    axis.grid(alpha=0.3)
+    return save_figure(figure, path)
+
+
 def sphere_picture(result: FitResult, path: Path, size: int = 384) -> Path:
     """Draw the material on a sphere under two lights, one picture each."""
     lights = ((-0.4, 0.5, 0.768), (0.85, 0.2, 0.487))
@@ -161,6 +174,7 @@ def write_pictures(btf: Btf, result: FitResult, folder: Path) -> list[Path]:
         angle_picture(result, folder / "error_by_angle.png"),
         sphere_picture(result, folder / "sphere.png"),
         coverage_picture(result, folder / "coverage.png"),
+        history_picture(result, folder / "error_by_seconds.png"),
         directions_picture(btf, folder / "directions.png"),
     ]
     if result.material.has_relief:
