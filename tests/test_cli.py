@@ -203,7 +203,65 @@ def test_a_picture_folder_that_is_a_file_is_named(config, data, tmp_path, capsys
     refused(capsys, "light", "render", out, "--size", 8, "--light", 0, 0, 0)
 
 
-@pytest.mark.parametrize("arguments", [["--help"], ["fit", "--help"], ["render", "--help"], ["compare", "--help"], ["info", "--help"]])
+def test_create_makes_a_material_of_a_picture(tmp_path, capsys):
+    codes = np.random.default_rng(0).integers(0, 256, (9, 8, 4)).astype(np.uint8)  # with an alpha
+    write_image(tmp_path / "mein Stoff ü.png", codes)
+    out = tmp_path / "out"
+    arguments = (
+        "create", tmp_path / "mein Stoff ü.png", "--out", out, "--specular", "glossy:width=0.3", "anisotropic:ratio=6",
+        "--centre", 0.2, 0.5, "--centre", 0.8, 0.5, "--tilt", "velvet", "--softness", 5, "--mask", 0.1, 1.2,
+    )
+    assert run(*arguments) == 0
+    said = capsys.readouterr()
+    for name in ("manifest.json", "diffuse.png", "index_2.png", "rotation_x.png", "specular_2.exr", "maps.png", "hemisphere.png"):
+        assert (out / name).is_file() and str(out / name) in said.out
+    assert said.err == ""
+    material = load_material(out)
+    assert material.name == "distribution" and material.size == (9, 8) and material.has_relief and not material.tiles
+    provenance = json.loads((out / "manifest.json").read_text("utf-8"))["provenance"]
+    assert provenance == {"created_from": "mein Stoff ü.png"}
+    # Again, and flat: what stood there is replaced, with its pictures.
+    assert run("create", tmp_path / "mein Stoff ü.png", "--out", out, "--height-scale", 0, "--no-pictures", "--tiles") == 0
+    assert not (out / "maps.png").exists() and load_material(out).tiles and not load_material(out).has_relief
+    assert run("render", out, "--size", 8) == 0
+
+
+def test_create_makes_a_material_of_textures(tmp_path, capsys):
+    folder, out = tmp_path / "Stein", tmp_path / "out"
+    folder.mkdir()
+    random = np.random.default_rng(0)
+    for name, channels in (("Color", 3), ("Displacement", 1), ("Roughness", 1), ("AmbientOcclusion", 1), ("Opacity", 1)):
+        write_image(folder / f"Stein_{name}.png", random.integers(0, 256, (8, 6, channels)).astype(np.uint8))
+    assert run("create", folder, "--out", out, "--lobes", 2, "--height-scale", 0.02, "--occlusion") == 0
+    said = capsys.readouterr().out
+    assert "ignored    Stein_Opacity.png" in said and str(out / "maps.png") in said
+    material = load_material(out)
+    assert material.options["lobes"] == 2 and material.tiles and material.has_relief
+
+
+def test_create_names_what_is_wrong(tmp_path, capsys, monkeypatch):
+    write_image(tmp_path / "a.png", np.zeros((4, 4, 3), np.uint8))
+    (tmp_path / "folder").mkdir()
+    out = tmp_path / "out"
+    refused(capsys, "nowhere.png", "create", tmp_path / "nowhere.png", "--out", out)
+    refused(capsys, "_Color", "create", tmp_path / "folder", "--out", out)
+    refused(capsys, "Did you mean 'glossy'", "create", tmp_path / "a.png", "--out", out, "--specular", "glosy")
+    refused(capsys, "1 colours there are", "create", tmp_path / "a.png", "--out", out, "--specular", "glossy", "rim")
+    refused(capsys, "Did you mean 'linear'", "create", tmp_path / "a.png", "--out", out, "--encoding", "liner")
+    refused(capsys, "Did you mean 'png", "create", tmp_path / "a.png", "--out", out, "--storage", "png9")
+    assert not out.exists()
+
+    def never(*arguments, **keywords):
+        raise AssertionError("the picture was read first")
+
+    monkeypatch.setattr("torchmat.btf.photographs.read_linear", never)
+    refused(capsys, "a.png", "create", tmp_path / "a.png", "--out", tmp_path)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.png", "folder"]
+
+
+@pytest.mark.parametrize("arguments", [
+    ["--help"], ["fit", "--help"], ["render", "--help"], ["compare", "--help"], ["info", "--help"], ["create", "--help"],
+])
 def test_help(arguments, capsys):
     with pytest.raises(SystemExit) as stop:
         main(arguments)
@@ -219,7 +277,7 @@ def test_an_unknown_command_ends_with_2(capsys):
 
 
 def test_the_scripts_are_the_commands(data, tmp_path):
-    for name in ("fit", "render", "compare", "info"):
+    for name in ("fit", "render", "compare", "info", "geometry", "create"):
         assert (ROOT / "scripts" / f"{name}.py").is_file()
     script = str(ROOT / "scripts" / "info.py")
     done = subprocess.run(

@@ -17,10 +17,19 @@ from torchmat.fit.linear import _two_non_negative
 from torchmat.fit.recover import Recovery
 from torchmat.geometry import Relief
 
-OPTIONS = {"pca": {"components": 8}, "local_pca": {"clusters": 4, "components": 4}}
+OPTIONS = {
+    "pca": {"components": 8}, "local_pca": {"clusters": 4, "components": 4},
+    "distribution": {
+        "lobes": 1, "fresnel": "no", "rotation": "no", "specular_size": 8, "effort": 0.05, "storage": "half",
+    },
+}
 # Gain in dB on held-out samples over the flat fit. Measured: texture 2.9 (it has no normals), lambert 15.4, ptm 15.7,
-# lptm 15.7, hsh 16.2, phong_srf 3.6, pca 4.3 and local_pca 3.7 (90 samples are few for tables over directions).
-GAIN = {"texture": 2.3, "lambert": 14, "ptm": 14, "lptm": 14, "hsh": 14, "phong_srf": 3, "pca": 3.5, "local_pca": 3}
+# lptm 15.7, hsh 16.2, phong_srf 3.6, pca 4.3 and local_pca 3.7 (90 samples are few for tables over directions),
+# distribution 14.6 after 100 steps.
+GAIN = {
+    "texture": 2.3, "lambert": 14, "ptm": 14, "lptm": 14, "hsh": 14, "phong_srf": 3, "pca": 3.5, "local_pca": 3,
+    "distribution": 12,
+}
 every_model = pytest.mark.parametrize("model", FITTERS)
 
 
@@ -41,7 +50,11 @@ def test_the_true_height_predicts_held_out_samples_better(model):
 def test_the_material_carries_the_relief(model):
     material, truth = fitted(model, True).material, relief_scene().true_height.float()
     assert material.has_relief and material.tiles
-    assert torch.equal(material.maps["height"].detach(), truth)
+    if model == "distribution":  # moves the height to where its samples want it: measured 4 % of the range
+        span = float(truth.max() - truth.min())
+        assert 0 < float((material.maps["height"].detach() - truth).abs().max()) < 0.1 * span
+    else:
+        assert torch.equal(material.maps["height"].detach(), truth)
     assert material.maps["ambient"].shape == (3, 24, 24) and bool((material.maps["ambient"] >= 0).all())
     assert not fitted(model, False).material.has_relief
     report = fitted(model, True).report
@@ -90,7 +103,8 @@ def test_double_precision_stays_double(model):
         errors = [one.report["held_out"]["psnr_db"] for one in (result, fitted(model, True))]
         assert abs(errors[0] - errors[1]) < 0.3
     else:
-        assert_close(single.double(), double, 1e-5)
+        # The steps of Adam carry rounding on: measured 7e-5.
+        assert_close(single.double(), double, 5e-4 if model == "distribution" else 1e-5)
 
 
 def test_lambert_recovers_albedo_and_ambient():

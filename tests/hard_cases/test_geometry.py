@@ -13,14 +13,15 @@ from support import all_pairs, assert_close, hemisphere, plausible_images
 
 import torchmat as tm
 from torchmat import Btf, FitError, RangeError, ShapeError
-from torchmat.fit import predict, recover_geometry
+from torchmat.fit import FITTERS, predict, recover_geometry
 from torchmat.geometry import normals_from_slopes, poisson, slopes_from_height, soft_shadow, trace_view, visible
 from torchmat.geometry.relief import texel_centres
 
 every_model = pytest.mark.parametrize("name, options", CASES)
-# What a fit over a relief does with its samples is one for all models: these are quick.
-CLOSED_FORM = ("texture", "lambert", "ptm", "lptm", "hsh", "phong_srf", "pca", "local_pca")
-OPTIONS = {"pca": {"components": 2}, "local_pca": {"clusters": 2, "components": 2}}
+OPTIONS = {
+    "pca": {"components": 2}, "local_pca": {"clusters": 2, "components": 2},
+    "distribution": {"lobes": 1, "fresnel": "yes", "rotation": "yes", "specular_size": 8, "effort": 0.02},
+}
 LIGHT, VIEW = all_pairs(hemisphere(), hemisphere(((0, 1), (30, 3), (60, 4))))
 
 
@@ -121,7 +122,7 @@ def test_3_steep_slopes_give_unit_normals(slope, dtype):
     assert bool(torch.isfinite(slopes.grad).all())
 
 
-@pytest.mark.parametrize("model", CLOSED_FORM)
+@pytest.mark.parametrize("model", FITTERS)
 def test_8_tiny_and_huge_values_in_one_btf(model):
     """Columns of 1e-8 beside columns of 1e4, on a relief that moves texels by less than one: the dark are not lost."""
     scene = relief_scene(depth=0.02, offset=0.0, finest=3)
@@ -149,7 +150,7 @@ def checked(btf: Btf, model: str, height: torch.Tensor, **options) -> tm.Materia
     return material
 
 
-@pytest.mark.parametrize("model", CLOSED_FORM)
+@pytest.mark.parametrize("model", FITTERS)
 def test_9_a_black_texel_and_one_lit_once(model):
     images = plausible_images(LIGHT, VIEW, 8, 8)
     images[:, :, 2, 3] = 0
@@ -164,7 +165,7 @@ def test_9_a_black_texel_and_one_lit_once(model):
         assert float(albedo[:, 2, 3].max()) < 0.5 * float(albedo.mean())
 
 
-@pytest.mark.parametrize("model", CLOSED_FORM)
+@pytest.mark.parametrize("model", FITTERS)
 @pytest.mark.parametrize("which", ["one light", "one view", "coplanar lights", "two identical", "one sample", "two samples"])
 def test_9_directions_that_do_not_determine_a_model_on_a_given_height(model, which):
     line = np.stack((np.sin(np.linspace(-1, 1, 9)), np.zeros(9), np.cos(np.linspace(-1, 1, 9))), axis=1)
@@ -240,7 +241,7 @@ def test_10_rays_and_slopes_on_odd_sizes(size, tiles, dtype):
     assert found.shape == (1, *size) and bool(torch.isfinite(found).all())
 
 
-@pytest.mark.parametrize("model", CLOSED_FORM)
+@pytest.mark.parametrize("model", FITTERS)
 @pytest.mark.parametrize("size", [(1, 9), (9, 1), (7, 13)])
 def test_10_fits_over_odd_sizes(model, size):
     btf = Btf.from_tensors(plausible_images(LIGHT, VIEW, *size).astype(np.float32), LIGHT, VIEW)
@@ -374,7 +375,7 @@ def test_12_a_step_of_the_full_range_hides_and_shades_what_lies_behind_it(wall, 
     assert float(gap.abs().max()) < 1e-5
 
 
-@pytest.mark.parametrize("model", CLOSED_FORM)
+@pytest.mark.parametrize("model", FITTERS)
 def test_12_a_fit_over_a_step_of_the_full_range(model):
     light, view = all_pairs(hemisphere(((20, 3), (60, 4))), hemisphere(((0, 1), (75, 6))))
     height = torch.zeros(1, 12, 12)

@@ -13,6 +13,7 @@ import torch
 from support import all_pairs, assert_close, hemisphere
 
 from torchmat.models import MATERIALS, Material
+from torchmat.models.distribution import DISTRIBUTION_PARTS, default_tilt
 from torchmat.models.storage import MapSpec
 
 EXAMPLE_OPTIONS: dict[str, list[dict]] = {
@@ -27,6 +28,11 @@ EXAMPLE_OPTIONS: dict[str, list[dict]] = {
     ],
     "pca": [{"components": 3}],
     "local_pca": [{"clusters": 3, "components": 2}],
+    "distribution": [
+        {"lobes": 0, "parts": []},
+        {"lobes": 1, "parts": ["specular_mask"]},
+        {"lobes": 2, "parts": list(DISTRIBUTION_PARTS), "mask_channels": 3},
+    ],
 }
 LOBES = {
     "phong": (0.4, 0.3, 0.2, 0.3, 0.2, 0.25, math.log(20.0)),
@@ -34,9 +40,15 @@ LOBES = {
 }
 _RINGS = ((0, 1), (50, 3))  # 16 pairs: more than the 12 neighbours, and few enough for central differences
 
+
+
+def _said(value: object) -> str:
+    return "+".join(value) or "none" if isinstance(value, list) else str(value)
+
+
 # The cases of the contract: (model name, options) of every registered model.
 CASES = [
-    pytest.param(name, options, id="-".join([name, *map(str, options.values())]))
+    pytest.param(name, options, id="-".join([name, *map(_said, (options or {}).values())]))
     for name in MATERIALS for options in EXAMPLE_OPTIONS.get(name, [None])
 ]
 
@@ -76,6 +88,11 @@ def _table(name: str, options: dict, spec: MapSpec) -> torch.Tensor:
         return torch.rand(spec.channels, 1, samples, dtype=torch.float64)
     if (name, spec.name) == ("local_pca", "reflectance"):
         return torch.rand(spec.channels, options["clusters"], samples, dtype=torch.float64)
+    if (name, spec.name) == ("distribution", "specular"):
+        return 0.4 * torch.rand(spec.channels, 6, 6, dtype=torch.float64)
+    if (name, spec.name) == ("distribution", "tilt"):
+        # Not the default, and off both ends of its range, where differences could not be taken.
+        return 0.05 + 0.85 * default_tilt(torch.float64) + 0.05 * torch.rand(1, 1, 91, dtype=torch.float64)
     pytest.fail(f"tests/models/examples.py has no example of the shared map {spec.name!r} of model {name!r}")
 
 
@@ -94,6 +111,12 @@ def make_maps(name: str, options: dict | None, height: int = 2, width: int = 3, 
         elif spec.name == "normal":
             tilt = torch.rand(2, height, width, dtype=torch.float64) - 0.5
             value = torch.nn.functional.normalize(torch.cat((tilt, torch.ones_like(tilt[:1]))), dim=0)
+        elif (name, spec.name) == ("distribution", "rotation"):
+            angle = 2 * math.pi * torch.rand(1, height, width, dtype=torch.float64)
+            value = torch.cat((torch.cos(angle), torch.sin(angle)))
+        elif (name, spec.name) == ("distribution", "index"):
+            value = torch.rand(shape, dtype=torch.float64)
+            value = value / value.sum(dim=0)
         else:
             # Mostly positive, so that most of what is shaded is not clamped.
             low = -0.1 if spec.low is None else spec.low

@@ -3,7 +3,7 @@
 import math
 
 import numpy as np
-from reference.bases import BASES
+from reference.bases import BASES, half_vector
 from reference.interpolate import plane_value
 from reference.lobes import LOBES
 
@@ -58,9 +58,80 @@ def _local_pca(maps, options, light, view, row, column):
     return _weighted([1.0, *maps["weight"][:, row, column]], curves)
 
 
+def _dot(one, other):
+    return sum(a * b for a, b in zip(one, other, strict=True))
+
+
+def _tilted_with(normal, vector):
+    """Turn `vector` as the shortest rotation from +z to `normal` does (Rodrigues)."""
+    x, y, z = normal
+    sine = math.hypot(x, y)
+    if sine == 0:
+        return list(vector)
+    axis = [-y / sine, x / sine, 0.0]
+    across = [
+        axis[1] * vector[2] - axis[2] * vector[1], axis[2] * vector[0] - axis[0] * vector[2],
+        axis[0] * vector[1] - axis[1] * vector[0],
+    ]
+    along = _dot(axis, vector) * (1 - z)
+    return [v * z + c * sine + a * along for v, c, a in zip(vector, across, axis, strict=True)]
+
+
+def _on_parabolic_map(plane, u, v):
+    """Return a square map's value at u (right), v (up) in [-1, 1]: bilinear between texel centres, constant beyond them."""
+    size = len(plane)
+    x = min(max((u + 1) / 2 * size - 0.5, 0.0), size - 1.0)
+    y = min(max((1 - v) / 2 * size - 0.5, 0.0), size - 1.0)
+    left, top = min(int(x), max(size - 2, 0)), min(int(y), max(size - 2, 0))
+    right, below = min(left + 1, size - 1), min(top + 1, size - 1)
+    fx, fy = x - left, y - top
+    upper = plane[top, left] * (1 - fx) + plane[top, right] * fx
+    lower = plane[below, left] * (1 - fx) + plane[below, right] * fx
+    return upper * (1 - fy) + lower * fy
+
+
+def _tilt_at(tilt, cosine):
+    degrees = math.degrees(math.acos(min(max(cosine, -1.0), 1.0)))
+    below = min(int(degrees), 89)
+    share = degrees - below
+    return 1 - (tilt[0, 0, below] * (1 - share) + tilt[0, 0, below + 1] * share)
+
+
+def _distribution(maps, options, light, view, row, column):
+    """Liao 2011, eq. 3.1 as a value, with 1e-4 in its denominator; a part is there if its map is."""
+    texel = {key: value[:, row, column] for key, value in maps.items() if key not in ("specular", "tilt")}
+    normal = texel.get("normal", np.array([0.0, 0.0, 1.0]))
+    normal = normal / math.sqrt(_dot(normal, normal))
+    n_dot_l, n_dot_v = max(0.0, _dot(normal, light)), max(0.0, _dot(normal, view))
+    diffuse = [a * n_dot_l for a in texel["diffuse"]]
+    lobes = options.get("lobes", 1)
+    if lobes == 0:
+        return diffuse
+    tangent, bitangent = _tilted_with(normal, (1.0, 0.0, 0.0)), _tilted_with(normal, (0.0, 1.0, 0.0))
+    if "rotation" in texel:
+        length = math.hypot(*texel["rotation"])
+        c, s = texel["rotation"][0] / length, texel["rotation"][1] / length
+        tangent, bitangent = (
+            [c * t + s * b for t, b in zip(tangent, bitangent, strict=True)],
+            [-s * t + c * b for t, b in zip(tangent, bitangent, strict=True)],
+        )
+    half = half_vector(light, view)
+    up = 1 + max(0.0, _dot(half, normal))
+    u, v = _dot(half, tangent) / up, _dot(half, bitangent) / up
+    weight = texel["index"] if lobes > 1 else [1.0]
+    colour = [sum(w * _on_parabolic_map(maps["specular"][3 * k + c], u, v) for k, w in enumerate(weight)) for c in range(3)]
+    a, b = (_tilt_at(maps["tilt"], x) for x in (n_dot_l, n_dot_v)) if "tilt" in maps else (n_dot_l, n_dot_v)
+    share = math.pi * n_dot_l / (a + b - a * b + 1e-4)
+    if "fresnel" in texel:
+        r0 = texel["fresnel"][0]
+        share *= r0 + (1 - r0) * max(0.0, 1 - _dot(light, half)) ** options.get("fresnel_exponent", 5)
+    mask = texel.get("specular_mask", [1.0])
+    return [diffuse[c] + share * colour[c] * mask[c if len(mask) == 3 else 0] for c in range(3)]
+
+
 VALUES = {
     "texture": _texture, "lambert": _lambert, "ptm": _ptm, "lptm": _lptm, "hsh": _hsh, "phong_srf": _phong_srf,
-    "pca": _pca, "local_pca": _local_pca,
+    "pca": _pca, "local_pca": _local_pca, "distribution": _distribution,
 }
 
 

@@ -43,7 +43,8 @@ def test_a_fit_is_written_whole(btf, tmp_path):
     report = json.loads((folder / "report.json").read_text("utf-8"))
     assert report["model"] == "ptm" and report["held_out"]["samples"] > 0
     pictures = {path.name for path in (folder / "pictures").iterdir()}
-    assert pictures == {"comparison.png", "error_by_angle.png", "sphere.png", "coverage.png", "directions.png"}
+    drawn = {"comparison", "error_by_angle", "sphere", "coverage", "directions", "maps", "hemisphere"}
+    assert pictures == {f"{name}.png" for name in drawn}
     page = (folder / "report.html").read_text("utf-8")
     assert_self_contained(page)
     assert page.count("data:image/png") == len(pictures)

@@ -12,6 +12,7 @@ import time
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -41,6 +42,7 @@ _GAIN_DB = 0.08  # what one more part must bring in a pilot run
 _MOST_LOBES = 3
 _BLOCK_VALUES = 2_000_000
 _SNAPSHOT = 100
+_OUTSTANDING = 10  # times the usual texel: brighter ones count as that bright where one number stands for all
 _WORSE = 8  # times the lowest error so far: no batch is that much harder than the rest
 
 
@@ -82,8 +84,13 @@ def fit_distribution_on_relief(
     return _Fit(surface, height, lobes, fresnel, rotation, specular_size, effort, storage).run()
 
 
+def _power(base: Tensor, exponent: float) -> Tensor:
+    # torch's own power rounds otherwise in what remains of a thread's share; exp and log do not.
+    return (base.log() * exponent).exp()
+
+
 def _shown(values: Tensor, darkest: float) -> Tensor:
-    return (values.clamp(min=0) + darkest) ** _DISPLAY
+    return _power(values.clamp(min=0) + darkest, _DISPLAY)
 
 
 @dataclass
@@ -136,11 +143,15 @@ class _Fit:
         return Fitted(material, reason, None, figures, history=self.history)
 
     def _mean_value(self) -> float:
-        total, count = 0.0, 0
-        for block in self.surface.training.btf.blocks(None, self.surface.training.dtype):
-            total += float(block.images.double().mean(dim=(1, 2, 3)).sum())
-            count += len(block.images)
-        return max(total / max(count, 1), 1e-12)
+        btf = self.surface.training.btf
+        total = torch.zeros(btf.height, btf.width, dtype=torch.float64)
+        for block in btf.blocks(None, self.surface.training.dtype):
+            total += block.images.mean(dim=1, dtype=torch.float64).sum(dim=0)
+        each = total / max(len(btf), 1)
+        usual = each[each > 0].median() if bool((each > 0).any()) else each.max()
+        with one_thread():
+            # One texel a million times as bright as the cloth must not decide what is dark.
+            return max(float(each.clamp(max=_OUTSTANDING * usual).mean()), 1e-12)
 
     @property
     def darkest(self) -> float:
@@ -173,7 +184,8 @@ class _Fit:
         spread = torch.linalg.eigvalsh((light.T @ light).double())
         if len(rows) < 6 or float(spread[0]) < 1e-2 * float(spread[-1]):
             return given
-        found = photometric_stereo(btf.images(rows, dtype), light, btf.weights(rows))
+        with one_thread():
+            found = photometric_stereo(btf.images(rows, dtype), light, btf.weights(rows))
         return torch.where(found.confidence > 0, slopes_from_normals(found.normal), given)
 
     def _choose(self, starts: dict[str, Tensor]) -> tuple[_Parts, list[dict[str, Any]]]:
@@ -265,7 +277,7 @@ class _Fit:
             values, valid = surface.values(batch)
             with torch.enable_grad():
                 gap = _shown(self._predict(raw, parts, surface, batch), self.darkest) - _shown(values, self.darkest)
-                loss = (gap.square() * valid).mean()
+                loss = (gap.square() * valid).mean() / self.level ** (2 * _DISPLAY)
             now = float(loss.detach())
             if not math.isfinite(now):
                 reason = NOT_FINITE
@@ -282,7 +294,7 @@ class _Fit:
         if reason == STEP_LIMIT and running > _WORSE * lowest:
             reason = DIVERGED
         for name, value in raw.items():
-            value.detach_().requires_grad_(False)
+            value.requires_grad_(False)
             if reason != STEP_LIMIT and name in kept:
                 value.copy_(kept[name])
         return reason
@@ -291,7 +303,7 @@ class _Fit:
         surface, texels = self.surface, torch.arange(len(self.surface.training.btf))
 
         def steepness(values: Tensor) -> Tensor:
-            return (values.clamp(min=0) + self.darkest) ** (_DISPLAY - 1) * (_DISPLAY * self._white**-_DISPLAY)
+            return _power(values.clamp(min=0) + self.darkest, _DISPLAY - 1) * (_DISPLAY * self._white**-_DISPLAY)
 
         self.height = refine_height(
             surface, self.height, raw["slopes"], lambda run: self._predict(raw, parts, surface, texels[run]), steepness
@@ -325,7 +337,7 @@ def _raw_maps(starts: dict[str, Tensor], parts: _Parts, size: int, training: Tra
     distance = axis[:, None] ** 2 + axis[None, :] ** 2
     noise = torch.randn(3 * parts.lobes, 1, 1, generator=generator, dtype=torch.float64).to(dtype)
     with one_thread():
-        brightness = float(mean.mean())
+        brightness = float(mean.clamp(max=_OUTSTANDING * float(mean.median())).mean())
     raw = {
         "diffuse": mean.log(),
         "ambient": (0.05 * mean).log(),
@@ -345,9 +357,14 @@ def _raw_maps(starts: dict[str, Tensor], parts: _Parts, size: int, training: Tra
 def _start_index(features: Tensor, lobes: int, training: Training) -> Tensor:
     """Return logits [lobes, H, W] by k-means of the texels' features."""
     from sklearn.cluster import KMeans
+    from threadpoolctl import threadpool_limits  # comes with scikit-learn
 
     rows = features.flatten(1).T.double().numpy()
-    found = KMeans(lobes, n_init=4, random_state=training.seed).fit(rows[:: max(1, len(rows) // 20000)]).predict(rows)
+    some = rows[:: max(1, len(rows) // 20000)]
+    clusters = min(lobes, len(np.unique(some, axis=0)))
+    # Threads of k-means add their sums in the order in which they finish.
+    with threadpool_limits(1, user_api="openmp"):
+        found = KMeans(clusters, n_init=4, random_state=training.seed).fit(some).predict(rows)
     chosen = torch.nn.functional.one_hot(torch.from_numpy(found).long(), lobes).T.to(features.dtype)
     return (2 * chosen - 1).reshape(lobes, *features.shape[-2:]).contiguous()
 
@@ -358,9 +375,11 @@ def _maps_of(raw: dict[str, Tensor], parts: _Parts) -> dict[str, Tensor]:
         "specular": raw["specular"].exp(), "specular_mask": raw["specular_mask"].exp(),
     }
     if parts.lobes > 1:
-        maps["index"] = torch.softmax(raw["index"], dim=0)
+        # As with powers: no softmax and no sigmoid.
+        weight = (raw["index"] - raw["index"].detach().amax(dim=0)).exp()
+        maps["index"] = weight / weight.sum(dim=0)
     if parts.fresnel:
-        maps["fresnel"] = torch.sigmoid(raw["fresnel"])
+        maps["fresnel"] = 1 / (1 + (-raw["fresnel"]).exp())
     if parts.rotation:
         maps["rotation"] = torch.cat((torch.cos(raw["rotation"]), torch.sin(raw["rotation"])))
     return maps
@@ -374,22 +393,27 @@ def _anisotropy(surface: Surface, mean: Tensor, slopes: Tensor) -> dict[str, Ten
     """
     btf, dtype = surface.training.btf, surface.training.dtype
     normal = normals_from_slopes(slopes)
-    frame = torch.stack((*tangent_frame(normal), normal)).flatten(2)  # [3 rows of the frame, xyz, texels]
-    sums = torch.zeros(5, frame.shape[-1], dtype=dtype)
+    frame = torch.stack((*tangent_frame(normal), normal), dim=1).flatten(1)  # [xyz, rows of the frame x texels]
+    sums = torch.zeros(5, btf.height * btf.width, dtype=dtype)
     level = colour.luminance(mean).flatten()
     for run in _runs(btf):
         values, valid = surface.values(run)
         half = half_vector(btf.light[run].to(dtype), btf.view[run].to(dtype), dim=-1)
-        along = torch.einsum("nk,rkt->rnt", half, frame)
+        along = (half @ frame).unflatten(1, (3, -1)).unbind(1)
         u, v = (safe.divide(axis, 1 + along[2].clamp(min=0)) for axis in along[:2])
         excess = (colour.luminance(values, dim=1).flatten(1) - level).clamp(min=0) * valid[:, 0].flatten(1)
         sums += torch.stack([(excess * term).sum(dim=0) for term in (torch.ones_like(u), u, v, u * u - v * v, 2 * u * v)])
-    size = (btf.height, btf.width)
+    with one_thread():
+        return _moments(sums, level, mean, len(btf))
+
+
+def _moments(sums: Tensor, level: Tensor, mean: Tensor, samples: int) -> dict[str, Tensor]:
+    size = mean.shape[-2:]
     total = sums[0].clamp(min=1e-12)
     stretch = torch.stack((sums[3] - (sums[1] ** 2 - sums[2] ** 2) / total, sums[4] - 2 * sums[1] * sums[2] / total)) / total
     angle = torch.atan2(stretch[1], stretch[0]) / 2
     strength = stretch.square().sum(dim=0).sqrt()
-    bright = torch.log1p(total / len(btf) / level.clamp(min=1e-12))
+    bright = torch.log1p(total / samples / level.clamp(min=1e-12))
     share = mean.flatten(1) / mean.flatten(1).sum(dim=0).clamp(min=1e-12)
     features = torch.stack((*share, bright, strength * 10))
     spread = features.std(dim=1, keepdim=True, correction=0).clamp(min=1e-3)

@@ -25,6 +25,7 @@ _VALIDATION, _VALIDATION_SAMPLES = 0.1, 200
 # What a relief is worth shows long before the last step of an iterative fit.
 _QUICK = {"distribution": {"lobes": 1, "fresnel": "yes", "rotation": "yes", "effort": 0.15}}
 
+
 def check_given_height(height: Tensor, training: Training) -> Tensor:
     """Return a height map that the user gives as [1, H, W]; raises ShapeError or RangeError when it cannot be one."""
     size = (training.btf.height, training.btf.width)

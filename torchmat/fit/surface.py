@@ -122,7 +122,8 @@ def ambient(surface: Surface) -> Tensor:
         bright_weight += exposed.sum(dim=0)
     own = bright / bright_weight.clamp(min=1e-6)
     with one_thread():
-        usual = dark.sum() / dark_weight.sum().clamp(min=1e-6) / (bright.sum() / bright_weight.sum().clamp(min=1e-6)).clamp(min=1e-12)
+        shadowed, exposed = dark.sum() / dark_weight.sum().clamp(min=1e-6), bright.sum() / bright_weight.sum().clamp(min=1e-6)
+        usual = shadowed / exposed.clamp(min=1e-12)
     return (dark + usual.clamp(0, 1) * own) / (dark_weight + 1)
 
 

@@ -1,7 +1,9 @@
 """Materials: maps plus a differentiable shade(light, view); the table of all of them."""
 
 from torchmat.models.base import Material
+from torchmat.models.blend import blend
 from torchmat.models.distribution import Distribution
+from torchmat.models.edit import add_part, drop_part, replace_map
 from torchmat.models.linear import Hsh, Lambert, Lptm, Ptm, Texture
 from torchmat.models.pca import LocalPca, Pca
 from torchmat.models.phong_srf import PhongSrf
@@ -10,4 +12,7 @@ MATERIALS: dict[str, type[Material]] = {
     model.name: model for model in (Texture, Lambert, Ptm, Lptm, Hsh, PhongSrf, Pca, LocalPca, Distribution)
 }
 
-__all__ = ["MATERIALS", "Distribution", "Hsh", "Lambert", "LocalPca", "Lptm", "Material", "Pca", "PhongSrf", "Ptm", "Texture"]
+__all__ = [
+    "MATERIALS", "Distribution", "Hsh", "Lambert", "LocalPca", "Lptm", "Material", "Pca", "PhongSrf", "Ptm", "Texture",
+    "add_part", "blend", "drop_part", "replace_map",
+]

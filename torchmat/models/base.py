@@ -144,7 +144,9 @@ class Material(nn.Module):
     def _shade_flat(self, light: Tensor, view: Tensor) -> Tensor:
         above = (light[..., 2:3, :, :] > 0) & (view[..., 2:3, :, :] > 0)
         if bool(above.all()):
-            return self.value(light, view).clamp(min=0)
+            value = self.value(light, view).clamp(min=0)
+            # A model that does not look at the view gives one picture for all of them.
+            return value.expand(torch.broadcast_shapes(value.shape, above.shape)).contiguous()
         # Below the horizon the model sees the pole instead, where it is finite, so that the gradient is 0 and not NaN.
         pole = torch.zeros(3, 1, 1, dtype=light.dtype)
         pole[2] = 1

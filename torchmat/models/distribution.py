@@ -57,7 +57,7 @@ class Distribution(Material):
             check_option(self.name, "parts", part, DISTRIBUTION_PARTS)
         chosen = [part for part in DISTRIBUTION_PARTS if part in parts]
         self._lobes, self._chosen, self._mask_channels = lobes, chosen, mask_channels
-        self._kept_frame: tuple[list[Tensor], list[int], Tensor] | None = None
+        self._kept_frame: tuple[list[Tensor], list[tuple], tuple[Tensor, Tensor | None]] | None = None
         options = {"lobes": lobes, "parts": chosen, "mask_channels": mask_channels, "fresnel_exponent": fresnel_exponent}
         super().__init__(maps, **options, **settings)
         self._check_tables()
@@ -107,11 +107,11 @@ class Distribution(Material):
         return flat
 
     def value(self, light: Tensor, view: Tensor) -> Tensor:
-        frame = self._frame()
-        normal = None if frame is None or "normal" not in self.maps else frame[:, 2:]
+        frame, normal = self._frame()
         n_dot_l, n_dot_v = (_dot(direction, normal).clamp(min=0) for direction in (light, view))
-        diffuse = self.maps["diffuse"] * n_dot_l
-        return diffuse if self._lobes == 0 else diffuse + self._specular(light, view, frame, n_dot_l, n_dot_v)
+        if self._lobes == 0:
+            return self.maps["diffuse"] * n_dot_l
+        return torch.addcmul(self._specular(light, view, frame, n_dot_l, n_dot_v), self.maps["diffuse"], n_dot_l)
 
     def _specular(self, light: Tensor, view: Tensor, frame: Tensor | None, n_dot_l: Tensor, n_dot_v: Tensor) -> Tensor:
         maps = self.maps
@@ -121,32 +121,41 @@ class Distribution(Material):
         half = (light + view) * shorten
         colour = self._looked_up(half if frame is None else combine(half, frame))
         a, b = (n_dot_l, n_dot_v) if "tilt" not in maps else (self._tilted(n_dot_l), self._tilted(n_dot_v))
-        share = math.pi * n_dot_l / (a + b - a * b + _GRAZING)
+        share = n_dot_l / torch.addcmul(a + (b + _GRAZING), a, b, value=-1)
         if "fresnel" in maps:
             grazing = (1 - (1 + cosine) * shorten).clamp(min=0)
-            share = share * (maps["fresnel"] + (1 - maps["fresnel"]) * grazing ** self.options["fresnel_exponent"])
+            share = share * (maps["fresnel"] + (1 - maps["fresnel"]) * self._rise(grazing))
         if "specular_mask" in maps:
             share = share * maps["specular_mask"]
-        return colour * share
+        return colour * (math.pi * share)
 
-    def _frame(self) -> Tensor | None:
-        """Return tangent, bitangent and normal, turned by the rotation, as [xyz, 3, H, W]; None where nothing turns.
+    def _rise(self, grazing: Tensor) -> Tensor:
+        exponent = self.options["fresnel_exponent"]
+        if exponent >= 1:
+            return grazing**exponent
+        return safe.power(grazing, torch.tensor(exponent, dtype=grazing.dtype))  # its slope at 0 is infinite
 
-        Without gradients it is kept for the next picture, as long as the maps are the same tensors, unchanged.
+    def _frame(self) -> tuple[Tensor | None, Tensor | None]:
+        """Return tangent, bitangent and normal, turned by the rotation, as [xyz, 3, H, W], and the normal [xyz, 1, H, W].
+
+        None stands for a frame, or a normal, that is the same everywhere.
+        Without gradients they are kept for the next picture, as long as the maps are the same tensors, unchanged.
         """
         sources = [self.maps[name] for name in ("normal", "rotation") if name in self.maps]
         if not sources:
-            return None
-        versions = [tensor._version for tensor in sources]
-        if torch.is_grad_enabled():
+            return None, None
+        # Tensors of inference mode have no version.
+        if torch.is_grad_enabled() or any(tensor.is_inference() for tensor in sources):
             return self._make_frame()
+        # `material.double()` puts other data into the same parameters, of the same version.
+        versions = [(tensor._version, tensor.data_ptr(), tensor.dtype) for tensor in sources]
         known = self._kept_frame
         same = known is not None and known[1] == versions and all(a is b for a, b in zip(known[0], sources, strict=True))
         if not same:
             self._kept_frame = known = (sources, versions, self._make_frame())
         return known[2]
 
-    def _make_frame(self) -> Tensor:
+    def _make_frame(self) -> tuple[Tensor, Tensor | None]:
         if "normal" in self.maps:
             normal = safe.normalise(self.maps["normal"])
         else:
@@ -156,7 +165,8 @@ class Distribution(Material):
         if "rotation" in self.maps:
             cosine, sine = safe.normalise(self.maps["rotation"]).split(1)
             tangent, bitangent = cosine * tangent + sine * bitangent, cosine * bitangent - sine * tangent
-        return torch.stack((tangent, bitangent, normal), dim=1)
+        frame = torch.stack((tangent, bitangent, normal), dim=1)
+        return frame, normal[:, None] if "normal" in self.maps else None
 
     def _looked_up(self, local: Tensor) -> Tensor:
         """Return the specular colour [..., 3, h, w] for half vectors in the texels' frames."""
@@ -173,7 +183,10 @@ class Distribution(Material):
         found = found.reshape(self._lobes, 3, *lead, rows, columns).movedim((0, 1), (-4, -3))
         if self._lobes == 1:
             return found.squeeze(-4)
-        return (found * self.maps["index"][:, None]).sum(dim=-4)
+        total = found[..., 0, :, :, :] * self.maps["index"][0]
+        for number in range(1, self._lobes):
+            total = total + found[..., number, :, :, :] * self.maps["index"][number]
+        return total
 
     def _tilted(self, cosine: Tensor) -> Tensor:
         """Return d of a cosine: 1 - tilt at its angle, filtered linearly."""

@@ -6,9 +6,12 @@ from pathlib import Path
 from typing import Any
 
 from torchmat.btf import Btf
-from torchmat.fit import FitResult
-from torchmat.material_io import save_material
+from torchmat.fit import FitResult, evaluate
+from torchmat.frames import half_vector
+from torchmat.material_io import packed, save_material
+from torchmat.models import Distribution
 from torchmat.report.html import fit_page
+from torchmat.report.maps import hemisphere_picture, maps_picture
 from torchmat.report.pictures import write_pictures
 from torchmat.report.tables import to_json
 
@@ -19,13 +22,26 @@ def write_fit(btf: Btf, result: FitResult, folder: str | Path, pictures: bool = 
     Everything appears together in one step; see `save_material` for what may be replaced.
     """
 
+    report = _with_packing(btf, result)
+
     def companions(building: Path) -> None:
-        (building / "report.json").write_text(to_json(result.report), encoding="utf-8")
+        (building / "report.json").write_text(to_json(report), encoding="utf-8")
         if pictures:
             written = write_pictures(btf, result, building / "pictures")
-            (building / "report.html").write_text(fit_page(result.report, written), encoding="utf-8")
+            half = half_vector(btf.lights[:, None], btf.views[None], dim=-1).flatten(0, 1)
+            written.append(maps_picture(result.material, building / "pictures" / "maps.png", half))
+            written.append(hemisphere_picture(result.material, building / "pictures" / "hemisphere.png"))
+            (building / "report.html").write_text(fit_page(report, written), encoding="utf-8")
 
     return save_material(result.material, folder, _provenance(result.report), companions)
+
+
+def _with_packing(btf: Btf, result: FitResult) -> dict[str, Any]:
+    """Return the report; of a material that can be packed, with its held-out error after packing."""
+    if not isinstance(result.material, Distribution) or not result.report.get("held_out"):
+        return result.report
+    after = evaluate(packed(result.material), btf, result.split.held_out).report
+    return {**result.report, "held_out_after_packing": after}
 
 
 def _provenance(report: dict[str, Any]) -> dict[str, Any]:

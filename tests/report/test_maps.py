@@ -1,0 +1,117 @@
+"""Sheets of maps and of nine views, of every registered model, and what is on them."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+import torch
+from models.examples import CASES, make
+
+from torchmat.create import material_from_picture
+from torchmat.errors import DataError, RangeError, ShapeError
+from torchmat.images import read_image
+from torchmat.report import maps as sheets
+from torchmat.report.maps import hemisphere_picture, maps_picture
+
+
+def from_picture(height: int = 5, width: int = 6):
+    return material_from_picture(
+        torch.rand(3, height, width), lobes=2, specular=("glossy", "rim"), rotation_centres=[(0.5, 0.5)], tilt="velvet"
+    )
+
+
+@pytest.mark.parametrize("name, options", CASES)
+def test_every_material_has_a_sheet(tmp_path, name, options):
+    path = maps_picture(make(name, options, 3, 4), tmp_path / "maps.png")
+    pixels = read_image(path)
+    assert min(pixels.shape[:2]) > 100 and np.ptp(pixels[..., :3]) > 100
+
+
+def test_every_map_has_its_panel(tmp_path, monkeypatch):
+    titles = []
+
+    def keep(figure, path):
+        titles.extend(axis.get_title() for axis in figure.axes)
+        sheets.plotting().close(figure)
+        return path
+
+    monkeypatch.setattr(sheets, "save_figure", keep)
+    maps_picture(from_picture(), tmp_path / "maps.png")
+    starts = [title.split(" ")[0].rstrip(":") for title in titles if title]
+    assert starts == [
+        "diffuse", "specular_mask", "fresnel", "rotation", "tilt", "index_1", "index_2", "specular_1", "specular_2", "height",
+    ]
+
+
+def drawn(panel):
+    """Return the axis on which a panel has drawn."""
+    figure, axis = sheets.plotting().subplots()
+    panel.draw(axis)
+    sheets.plotting().close(figure)
+    return axis
+
+
+def panel_of(material, name):
+    spec = next(spec for spec in material.specs() if spec.name == name)
+    return sheets._panels(spec, material.maps[name].detach(), None)[0]
+
+
+def test_panels_show_the_maps_as_people_see_them():
+    material = from_picture()
+    shown = drawn(panel_of(material, "diffuse")).images[0].get_array()
+    linear = material.maps["diffuse"].detach()
+    encoded = torch.where(linear <= 0.0031308, linear * 12.92, 1.055 * linear ** (1 / 2.4) - 0.055)
+    assert np.abs(shown - encoded.permute(1, 2, 0).numpy()).max() < 1e-5
+    hue = drawn(panel_of(material, "rotation")).images[0].get_array()
+    assert np.abs(hue.max(axis=2) - 1).max() < 1e-6 and np.abs(hue.min(axis=2)).max() < 1e-6
+    assert np.array_equal(drawn(panel_of(material, "height")).images[0].get_array(), material.maps["height"][0].detach().numpy())
+    assert np.allclose(drawn(panel_of(material, "tilt")).lines[0].get_ydata(), material.maps["tilt"].detach().numpy()[0, 0])
+
+
+def test_half_vectors_are_marked_on_the_disc():
+    material = from_picture()
+    half = torch.tensor([[0.0, 0.0, 1.0], [math.sin(1.0), 0.0, math.cos(1.0)], [0.0, -1.0, 0.0]])
+    spec = next(spec for spec in material.specs() if spec.name == "specular")
+    axis = drawn(sheets._panels(spec, material.maps["specular"].detach(), sheets._marks(half))[0])
+    assert np.allclose(axis.lines[0].get_xydata(), [[0, 0], [math.tan(0.5), 0], [0, -1]], atol=1e-6)
+    assert axis.patches[0].get_radius() == 1 and tuple(axis.images[0].get_extent()) == (-1, 1, -1, 1)
+    assert float(axis.images[0].get_array().max()) == pytest.approx(1)
+
+
+def test_bad_half_vectors_are_refused(tmp_path):
+    for half, error, said in (
+        (torch.zeros(3), ShapeError, "half"), (torch.full((2, 3), math.nan), RangeError, "finite"),
+        (torch.tensor([[0.0, 0.0, -1.0]]), RangeError, "-z"),
+    ):
+        with pytest.raises(error, match=said):
+            maps_picture(from_picture(), tmp_path / "maps.png", half)
+    with pytest.raises(DataError, match="writable"):
+        maps_picture(from_picture(), tmp_path / "maps.nothing")
+
+
+@pytest.mark.parametrize("size", [(5, 6), (1, 1), (1, 40), (40, 1)])
+def test_nine_views(tmp_path, monkeypatch, size):
+    views = []
+
+    def keep(material, mesh, lights, view, size):
+        views.append(view)
+        return torch.full((3, 2, 2), 0.5)
+
+    material = from_picture(*size) if min(size) > 1 else material_from_picture(torch.rand(3, *size))
+    assert min(read_image(maps_picture(material, tmp_path / "maps.png")).shape[:2]) > 100
+    path = hemisphere_picture(material, tmp_path / "hemisphere.png", size=16)
+    assert min(read_image(path).shape[:2]) > 100
+    monkeypatch.setattr(sheets, "render", keep)
+    hemisphere_picture(material, tmp_path / "hemisphere.png", size=16)
+    z = [view[2] for view in views]
+    assert np.allclose(z, np.repeat(np.cos(np.deg2rad([0, 25, 50])), 3))
+    assert np.allclose(np.linalg.norm(views, axis=1), 1)
+    # The first column of the last row looks along the mirror direction of the light from the upper left.
+    assert views[6][0] > 0 > views[6][1]
+
+
+def test_a_size_of_0_is_refused(tmp_path):
+    with pytest.raises(RangeError, match="size"):
+        hemisphere_picture(from_picture(), tmp_path / "hemisphere.png", size=0)
