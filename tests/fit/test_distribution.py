@@ -306,8 +306,8 @@ def _material_of(mask: torch.Tensor) -> tm.Material:
     training = make_training(btf, torch.arange(len(btf)), 0, True, torch.float32, False)
     state = fitting._Fit(bring_onto(training, torch.zeros(1, 2, 2)), None, 1, "no", "no", 8, 1.0, "float")
     state.level = state._mean_value()
-    parts = fitting._Parts(1, False, False)
-    raw = fitting._raw_maps(state._starts(), parts, 8, training)
+    parts = fitting.Parts(1, False, False)
+    raw = fitting.raw_maps(state._starts(), parts, 8, training)
     return state._material({**raw, "specular_mask": mask}, parts)
 
 

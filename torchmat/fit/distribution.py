@@ -12,17 +12,15 @@ import time
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-import numpy as np
 import torch
 from torch import Tensor
 
-from torchmat import colour, safe
 from torchmat.errors import RangeError, check_option, message
+from torchmat.fit.distribution_maps import BLOCK_VALUES, OUTSTANDING, Parts, anisotropy, maps_of, raw_maps, sample_runs
 from torchmat.fit.refine import refine_height
 from torchmat.fit.repeatable import one_thread
 from torchmat.fit.surface import Surface, bring_onto
 from torchmat.fit.training import Fitted, Training
-from torchmat.frames import half_vector, tangent_frame
 from torchmat.geometry import normals_from_slopes, photometric_stereo, slopes_from_height, slopes_from_normals
 from torchmat.models import Distribution
 from torchmat.models.storage import STORAGES
@@ -40,25 +38,8 @@ _ROUNDS = (600, 500, 900)  # steps before, between and after the moves of the he
 _PILOT = 300
 _GAIN_DB = 0.08  # what one more part must bring in a pilot run
 _MOST_LOBES = 3
-_BLOCK_VALUES = 2_000_000
 _SNAPSHOT = 100
-_OUTSTANDING = 10  # times the usual texel: brighter ones count as that bright where one number stands for all
 _WORSE = 8  # times the lowest error so far: no batch is that much harder than the rest
-
-
-@dataclass(frozen=True)
-class _Parts:
-    """What the material is made of."""
-
-    lobes: int
-    fresnel: bool
-    rotation: bool
-
-    @property
-    def names(self) -> list[str]:
-        """The optional parts of the model, the normal among them."""
-        given = {"fresnel": self.fresnel, "rotation": self.rotation, "specular_mask": True, "normal": True}
-        return [name for name, there in given.items() if there]
 
 
 def fit_distribution(
@@ -106,7 +87,7 @@ class _Fit:
     effort: float
     storage: str
     history: list[tuple[float, float]] = field(default_factory=list)
-    templates: dict[_Parts, Distribution] = field(default_factory=dict)
+    templates: dict[Parts, Distribution] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         where = "fit distribution"
@@ -126,7 +107,7 @@ class _Fit:
         self.level = self._mean_value()
         starts = self._starts()
         parts, pilots = self._choose(starts)
-        raw = _raw_maps(starts, parts, self.specular_size, training)
+        raw = raw_maps(starts, parts, self.specular_size, training)
         reason, taken = STEP_LIMIT, 0
         rounds = _ROUNDS if self.height is not None else (sum(_ROUNDS),)
         for number, steps in enumerate(rounds):
@@ -151,7 +132,7 @@ class _Fit:
         usual = each[each > 0].median() if bool((each > 0).any()) else each.max()
         with one_thread():
             # One texel a million times as bright as the cloth must not decide what is dark.
-            return max(float(each.clamp(max=_OUTSTANDING * usual).mean()), 1e-12)
+            return max(float(each.clamp(max=OUTSTANDING * usual).mean()), 1e-12)
 
     @property
     def darkest(self) -> float:
@@ -163,14 +144,14 @@ class _Fit:
         training = self.surface.training
         btf, dtype = training.btf, training.dtype
         mean, weight = torch.zeros(3, btf.height, btf.width, dtype=dtype), torch.zeros(1, btf.height, btf.width, dtype=dtype)
-        for run in _runs(btf):
+        for run in sample_runs(btf):
             values, valid = self.surface.values(run)
             mean += (values * valid).sum(dim=0)
             weight += valid.sum(dim=0)
         mean = mean / weight.clamp(min=1e-6)
         slopes = self._start_slopes()
         starts = {"mean": mean.clamp(min=1e-3 * self.level), "slopes": slopes}
-        return starts | _anisotropy(self.surface, starts["mean"], slopes)
+        return starts | anisotropy(self.surface, starts["mean"], slopes)
 
     def _start_slopes(self) -> Tensor:
         """Return slopes by photometric stereo from the most frontal view, or else those of the height."""
@@ -188,9 +169,9 @@ class _Fit:
             found = photometric_stereo(btf.images(rows, dtype), light, btf.weights(rows))
         return torch.where(found.confidence > 0, slopes_from_normals(found.normal), given)
 
-    def _choose(self, starts: dict[str, Tensor]) -> tuple[_Parts, list[dict[str, Any]]]:
+    def _choose(self, starts: dict[str, Tensor]) -> tuple[Parts, list[dict[str, Any]]]:
         """Climb from one lobe alone: keep what pays in pilot runs."""
-        parts = _Parts(max(1, self.lobes), self.fresnel == "yes", self.rotation == "yes")
+        parts = Parts(max(1, self.lobes), self.fresnel == "yes", self.rotation == "yes")
         trials = []
         if self.fresnel == "auto":
             trials.append(lambda p: replace(p, fresnel=True))
@@ -213,17 +194,17 @@ class _Fit:
                 parts, best = rival, found
         return parts, log
 
-    def _pilot(self, starts: dict[str, Tensor], parts: _Parts) -> float:
+    def _pilot(self, starts: dict[str, Tensor], parts: Parts) -> float:
         """Return the PSNR of a short run on nine tenths of the samples, measured on the rest after the display root."""
         training = self.surface.training
         btf = training.btf
         generator = torch.Generator().manual_seed(training.seed)
         order = torch.randperm(len(btf), generator=generator)
         back = order[: max(1, len(btf) // 10)]
-        raw = _raw_maps(starts, parts, self.specular_size, training)
+        raw = raw_maps(starts, parts, self.specular_size, training)
         self._optimise(raw, parts, self.surface, max(1, round(_PILOT * min(1, self.effort))), _RATE, order[len(back):].tolist(), [])
         error, count = torch.zeros(btf.height, btf.width, dtype=torch.float64), 0.0
-        for rows in back[:200].split(max(1, _BLOCK_VALUES // (3 * btf.height * btf.width))):
+        for rows in back[:200].split(max(1, BLOCK_VALUES // (3 * btf.height * btf.width))):
             values, valid = self.surface.values(rows)
             predicted = self._predict(raw, parts, self.surface, rows)
             gap = _shown(predicted / self._white, 0).clamp(max=1) - _shown(values / self._white, 0).clamp(max=1)
@@ -236,16 +217,16 @@ class _Fit:
         """The value shown as white: 1 by convention, or for data of another unit ten times its mean."""
         return 1.0 if 0.01 < self.level < 10 else 10 * self.level
 
-    def _predict(self, raw: dict[str, Tensor], parts: _Parts, surface: Surface, rows: Tensor) -> Tensor:
+    def _predict(self, raw: dict[str, Tensor], parts: Parts, surface: Surface, rows: Tensor) -> Tensor:
         btf, dtype = surface.training.btf, surface.training.dtype
         light, view = (d[rows][:, :, None, None].to(dtype) for d in (btf.light, btf.view))
-        maps = _maps_of(raw, parts)
+        maps = maps_of(raw, parts)
         shaded = self._flat(maps, parts).value(light, view)
         if self.height is None:
             return shaded
         return shaded * surface.lit[btf.light_index[rows]] + raw["ambient"].exp()
 
-    def _flat(self, maps: dict[str, Tensor], parts: _Parts) -> Distribution:
+    def _flat(self, maps: dict[str, Tensor], parts: Parts) -> Distribution:
         if parts not in self.templates:
             found = {name: value.detach() for name, value in maps.items()}
             self.templates[parts] = Distribution(found, lobes=parts.lobes, parts=parts.names)
@@ -253,7 +234,7 @@ class _Fit:
         return self.templates[parts].sharing(maps)
 
     def _optimise(
-        self, raw: dict[str, Tensor], parts: _Parts, surface: Surface, steps: int, rate: float, rows: Any,
+        self, raw: dict[str, Tensor], parts: Parts, surface: Surface, steps: int, rate: float, rows: Any,
         history: list[tuple[float, float]],
     ) -> str:
         """Run Adam for `steps` on random images among `rows`, all texels at once; the rate falls along half a cosine."""
@@ -299,7 +280,7 @@ class _Fit:
                 value.copy_(kept[name])
         return reason
 
-    def _move_height(self, raw: dict[str, Tensor], parts: _Parts) -> None:
+    def _move_height(self, raw: dict[str, Tensor], parts: Parts) -> None:
         surface, texels = self.surface, torch.arange(len(self.surface.training.btf))
 
         def steepness(values: Tensor) -> Tensor:
@@ -310,8 +291,8 @@ class _Fit:
         )
         self.surface = bring_onto(surface.source, self.height, into=surface)
 
-    def _material(self, raw: dict[str, Tensor], parts: _Parts) -> Distribution:
-        maps = _maps_of(raw, parts)
+    def _material(self, raw: dict[str, Tensor], parts: Parts) -> Distribution:
+        maps = maps_of(raw, parts)
         most = maps["specular_mask"].max().clamp(min=torch.finfo(maps["specular_mask"].dtype).tiny)
         maps |= {"specular_mask": maps["specular_mask"] / most, "specular": maps["specular"] * most}
         tiles = self.surface.training.tiles
@@ -322,100 +303,3 @@ class _Fit:
             {name: value.detach() for name, value in maps.items()}, lobes=parts.lobes, parts=parts.names,
             storage=self.storage, tiles=tiles,
         )
-
-
-def _runs(btf) -> list[slice]:
-    step = max(1, _BLOCK_VALUES // (3 * btf.height * btf.width))
-    return [slice(first, min(first + step, len(btf))) for first in range(0, len(btf), step)]
-
-
-def _raw_maps(starts: dict[str, Tensor], parts: _Parts, size: int, training: Training) -> dict[str, Tensor]:
-    """Return the unbounded parameters that stand for the maps, at their starting values."""
-    dtype, mean = training.dtype, starts["mean"]
-    generator = torch.Generator().manual_seed(training.seed)
-    axis = (torch.arange(size, dtype=dtype) + 0.5) / size * 2 - 1
-    distance = axis[:, None] ** 2 + axis[None, :] ** 2
-    noise = torch.randn(3 * parts.lobes, 1, 1, generator=generator, dtype=torch.float64).to(dtype)
-    with one_thread():
-        brightness = float(mean.clamp(max=_OUTSTANDING * float(mean.median())).mean())
-    raw = {
-        "diffuse": mean.log(),
-        "ambient": (0.05 * mean).log(),
-        "slopes": starts["slopes"].clone(),
-        "specular": (math.log(0.1 * brightness) + 0.01 * noise - 4 * distance).contiguous(),
-        "specular_mask": torch.zeros_like(mean[:1]),
-    }
-    if parts.lobes > 1:
-        raw["index"] = _start_index(starts["features"], parts.lobes, training)
-    if parts.fresnel:
-        raw["fresnel"] = torch.full_like(mean[:1], -2.0)
-    if parts.rotation:
-        raw["rotation"] = starts["rotation"].clone()
-    return raw
-
-
-def _start_index(features: Tensor, lobes: int, training: Training) -> Tensor:
-    """Return logits [lobes, H, W] by k-means of the texels' features."""
-    from sklearn.cluster import KMeans
-    from threadpoolctl import threadpool_limits  # comes with scikit-learn
-
-    rows = features.flatten(1).T.double().numpy()
-    some = rows[:: max(1, len(rows) // 20000)]
-    clusters = min(lobes, len(np.unique(some, axis=0)))
-    # Threads of k-means add their sums in the order in which they finish.
-    with threadpool_limits(1, user_api="openmp"):
-        found = KMeans(clusters, n_init=4, random_state=training.seed).fit(some).predict(rows)
-    chosen = torch.nn.functional.one_hot(torch.from_numpy(found).long(), lobes).T.to(features.dtype)
-    return (2 * chosen - 1).reshape(lobes, *features.shape[-2:]).contiguous()
-
-
-def _maps_of(raw: dict[str, Tensor], parts: _Parts) -> dict[str, Tensor]:
-    maps = {
-        "diffuse": raw["diffuse"].exp(), "normal": normals_from_slopes(raw["slopes"]),
-        "specular": raw["specular"].exp(), "specular_mask": raw["specular_mask"].exp(),
-    }
-    if parts.lobes > 1:
-        # As with powers: no softmax and no sigmoid.
-        weight = (raw["index"] - raw["index"].detach().amax(dim=0)).exp()
-        maps["index"] = weight / weight.sum(dim=0)
-    if parts.fresnel:
-        maps["fresnel"] = 1 / (1 + (-raw["fresnel"]).exp())
-    if parts.rotation:
-        maps["rotation"] = torch.cat((torch.cos(raw["rotation"]), torch.sin(raw["rotation"])))
-    return maps
-
-
-def _anisotropy(surface: Surface, mean: Tensor, slopes: Tensor) -> dict[str, Tensor]:
-    """Return the direction `rotation` [1, H, W] in which each texel's highlight is stretched, and `features` [C, H, W].
-
-    Second moments of what exceeds the mean, over the half vector's place on the parabolic map; features are the
-    moments' size and shape, free of the direction, and the colour.
-    """
-    btf, dtype = surface.training.btf, surface.training.dtype
-    normal = normals_from_slopes(slopes)
-    frame = torch.stack((*tangent_frame(normal), normal), dim=1).flatten(1)  # [xyz, rows of the frame x texels]
-    sums = torch.zeros(5, btf.height * btf.width, dtype=dtype)
-    level = colour.luminance(mean).flatten()
-    for run in _runs(btf):
-        values, valid = surface.values(run)
-        half = half_vector(btf.light[run].to(dtype), btf.view[run].to(dtype), dim=-1)
-        along = (half @ frame).unflatten(1, (3, -1)).unbind(1)
-        u, v = (safe.divide(axis, 1 + along[2].clamp(min=0)) for axis in along[:2])
-        excess = (colour.luminance(values, dim=1).flatten(1) - level).clamp(min=0) * valid[:, 0].flatten(1)
-        sums += torch.stack([(excess * term).sum(dim=0) for term in (torch.ones_like(u), u, v, u * u - v * v, 2 * u * v)])
-    with one_thread():
-        return _moments(sums, level, mean, len(btf))
-
-
-def _moments(sums: Tensor, level: Tensor, mean: Tensor, samples: int) -> dict[str, Tensor]:
-    size = mean.shape[-2:]
-    total = sums[0].clamp(min=1e-12)
-    stretch = torch.stack((sums[3] - (sums[1] ** 2 - sums[2] ** 2) / total, sums[4] - 2 * sums[1] * sums[2] / total)) / total
-    angle = torch.atan2(stretch[1], stretch[0]) / 2
-    strength = stretch.square().sum(dim=0).sqrt()
-    bright = torch.log1p(total / samples / level.clamp(min=1e-12))
-    share = mean.flatten(1) / mean.flatten(1).sum(dim=0).clamp(min=1e-12)
-    features = torch.stack((*share, bright, strength * 10))
-    spread = features.std(dim=1, keepdim=True, correction=0).clamp(min=1e-3)
-    features = (features - features.mean(dim=1, keepdim=True)) / spread
-    return {"rotation": angle.reshape(1, *size), "features": features.reshape(-1, *size)}

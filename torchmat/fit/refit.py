@@ -17,7 +17,8 @@ from torch import Tensor
 
 from torchmat.btf import Btf, Split, split_samples
 from torchmat.errors import RangeError, ShapeError, check_option, message
-from torchmat.fit.distribution import _RATE, _ROUNDS, NOT_FINITE, STEP_LIMIT, _Fit, _Parts
+from torchmat.fit.distribution import _RATE, _ROUNDS, NOT_FINITE, STEP_LIMIT, _Fit
+from torchmat.fit.distribution_maps import Parts
 from torchmat.fit.evaluate import evaluate
 from torchmat.fit.surface import Surface, bring_onto
 from torchmat.fit.training import make_training
@@ -126,7 +127,7 @@ class _Refit(_Fit):
         """Return the material with new maps, and why the last round stopped."""
         raw, reason = self._raw(), STEP_LIMIT
         moves = self.height is not None and "height" not in self.kept
-        parts = _Parts(self.material.options["lobes"], False, False)  # not read here: the material says what it has
+        parts = Parts(self.material.options["lobes"], False, False)  # not read here: the material says what it has
         for number, steps in enumerate(_ROUNDS[1:] if moves else _ROUNDS[2:]):
             if number > 0 or not raw:
                 self._move_height(raw, parts)
@@ -171,12 +172,12 @@ class _Refit(_Fit):
         material = self.material if self.height is None else self.material.with_maps(height=self.height)
         self.template = material.surface()
 
-    def _move_height(self, raw: dict[str, Tensor], parts: _Parts) -> None:
+    def _move_height(self, raw: dict[str, Tensor], parts: Parts) -> None:
         slopes = raw["slopes"] if "slopes" in raw else slopes_from_normals(self.template.maps["normal"])
         super()._move_height(raw | {"slopes": slopes}, parts)
         self._set_height()
 
-    def _predict(self, raw: dict[str, Tensor], parts: _Parts, surface: Surface, rows: Tensor) -> Tensor:
+    def _predict(self, raw: dict[str, Tensor], parts: Parts, surface: Surface, rows: Tensor) -> Tensor:
         btf, dtype = surface.training.btf, surface.training.dtype
         light, view = (d[rows][:, :, None, None].to(dtype) for d in (btf.light, btf.view))
         maps = self._of_raw(raw)

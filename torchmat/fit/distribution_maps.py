@@ -1,0 +1,134 @@
+"""What the fit of the distribution material turns: unbounded parameters, their starts, and the maps that they stand for."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from torchmat import colour, safe
+from torchmat.btf import Btf
+from torchmat.fit.repeatable import one_thread
+from torchmat.fit.surface import Surface
+from torchmat.fit.training import Training
+from torchmat.frames import half_vector, tangent_frame
+from torchmat.geometry import normals_from_slopes
+
+BLOCK_VALUES = 2_000_000
+OUTSTANDING = 10  # times the usual texel: brighter ones count as that bright where one number stands for all
+
+
+@dataclass(frozen=True)
+class Parts:
+    """What the material is made of."""
+
+    lobes: int
+    fresnel: bool
+    rotation: bool
+
+    @property
+    def names(self) -> list[str]:
+        """The optional parts of the model, the normal among them."""
+        given = {"fresnel": self.fresnel, "rotation": self.rotation, "specular_mask": True, "normal": True}
+        return [name for name, there in given.items() if there]
+
+
+def sample_runs(btf: Btf) -> list[slice]:
+    """Return runs of samples, each of few enough values to be worked on at once."""
+    step = max(1, BLOCK_VALUES // (3 * btf.height * btf.width))
+    return [slice(first, min(first + step, len(btf))) for first in range(0, len(btf), step)]
+
+
+def raw_maps(starts: dict[str, Tensor], parts: Parts, size: int, training: Training) -> dict[str, Tensor]:
+    """Return the unbounded parameters that stand for the maps, at their starting values."""
+    dtype, mean = training.dtype, starts["mean"]
+    generator = torch.Generator().manual_seed(training.seed)
+    axis = (torch.arange(size, dtype=dtype) + 0.5) / size * 2 - 1
+    distance = axis[:, None] ** 2 + axis[None, :] ** 2
+    noise = torch.randn(3 * parts.lobes, 1, 1, generator=generator, dtype=torch.float64).to(dtype)
+    with one_thread():
+        brightness = float(mean.clamp(max=OUTSTANDING * float(mean.median())).mean())
+    raw = {
+        "diffuse": mean.log(),
+        "ambient": (0.05 * mean).log(),
+        "slopes": starts["slopes"].clone(),
+        "specular": (math.log(0.1 * brightness) + 0.01 * noise - 4 * distance).contiguous(),
+        "specular_mask": torch.zeros_like(mean[:1]),
+    }
+    if parts.lobes > 1:
+        raw["index"] = _start_index(starts["features"], parts.lobes, training)
+    if parts.fresnel:
+        raw["fresnel"] = torch.full_like(mean[:1], -2.0)
+    if parts.rotation:
+        raw["rotation"] = starts["rotation"].clone()
+    return raw
+
+
+def _start_index(features: Tensor, lobes: int, training: Training) -> Tensor:
+    """Return logits [lobes, H, W] by k-means of the texels' features."""
+    from sklearn.cluster import KMeans
+    from threadpoolctl import threadpool_limits  # comes with scikit-learn
+
+    rows = features.flatten(1).T.double().numpy()
+    some = rows[:: max(1, len(rows) // 20000)]
+    clusters = min(lobes, len(np.unique(some, axis=0)))
+    # Threads of k-means add their sums in the order in which they finish.
+    with threadpool_limits(1, user_api="openmp"):
+        found = KMeans(clusters, n_init=4, random_state=training.seed).fit(some).predict(rows)
+    chosen = torch.nn.functional.one_hot(torch.from_numpy(found).long(), lobes).T.to(features.dtype)
+    return (2 * chosen - 1).reshape(lobes, *features.shape[-2:]).contiguous()
+
+
+def maps_of(raw: dict[str, Tensor], parts: Parts) -> dict[str, Tensor]:
+    maps = {
+        "diffuse": raw["diffuse"].exp(), "normal": normals_from_slopes(raw["slopes"]),
+        "specular": raw["specular"].exp(), "specular_mask": raw["specular_mask"].exp(),
+    }
+    if parts.lobes > 1:
+        # As with powers: no softmax and no sigmoid.
+        weight = (raw["index"] - raw["index"].detach().amax(dim=0)).exp()
+        maps["index"] = weight / weight.sum(dim=0)
+    if parts.fresnel:
+        maps["fresnel"] = 1 / (1 + (-raw["fresnel"]).exp())
+    if parts.rotation:
+        maps["rotation"] = torch.cat((torch.cos(raw["rotation"]), torch.sin(raw["rotation"])))
+    return maps
+
+
+def anisotropy(surface: Surface, mean: Tensor, slopes: Tensor) -> dict[str, Tensor]:
+    """Return the direction `rotation` [1, H, W] in which each texel's highlight is stretched, and `features` [C, H, W].
+
+    Second moments of what exceeds the mean, over the half vector's place on the parabolic map; features are the
+    moments' size and shape, free of the direction, and the colour.
+    """
+    btf, dtype = surface.training.btf, surface.training.dtype
+    normal = normals_from_slopes(slopes)
+    frame = torch.stack((*tangent_frame(normal), normal), dim=1).flatten(1)  # [xyz, rows of the frame x texels]
+    sums = torch.zeros(5, btf.height * btf.width, dtype=dtype)
+    level = colour.luminance(mean).flatten()
+    for run in sample_runs(btf):
+        values, valid = surface.values(run)
+        half = half_vector(btf.light[run].to(dtype), btf.view[run].to(dtype), dim=-1)
+        along = (half @ frame).unflatten(1, (3, -1)).unbind(1)
+        u, v = (safe.divide(axis, 1 + along[2].clamp(min=0)) for axis in along[:2])
+        excess = (colour.luminance(values, dim=1).flatten(1) - level).clamp(min=0) * valid[:, 0].flatten(1)
+        sums += torch.stack([(excess * term).sum(dim=0) for term in (torch.ones_like(u), u, v, u * u - v * v, 2 * u * v)])
+    with one_thread():
+        return _moments(sums, level, mean, len(btf))
+
+
+def _moments(sums: Tensor, level: Tensor, mean: Tensor, samples: int) -> dict[str, Tensor]:
+    size = mean.shape[-2:]
+    total = sums[0].clamp(min=1e-12)
+    stretch = torch.stack((sums[3] - (sums[1] ** 2 - sums[2] ** 2) / total, sums[4] - 2 * sums[1] * sums[2] / total)) / total
+    angle = torch.atan2(stretch[1], stretch[0]) / 2
+    strength = stretch.square().sum(dim=0).sqrt()
+    bright = torch.log1p(total / samples / level.clamp(min=1e-12))
+    share = mean.flatten(1) / mean.flatten(1).sum(dim=0).clamp(min=1e-12)
+    features = torch.stack((*share, bright, strength * 10))
+    spread = features.std(dim=1, keepdim=True, correction=0).clamp(min=1e-3)
+    features = (features - features.mean(dim=1, keepdim=True)) / spread
+    return {"rotation": angle.reshape(1, *size), "features": features.reshape(-1, *size)}
