@@ -220,11 +220,10 @@ class _Fit:
     def _predict(self, raw: dict[str, Tensor], parts: Parts, surface: Surface, rows: Tensor) -> Tensor:
         btf, dtype = surface.training.btf, surface.training.dtype
         light, view = (d[rows][:, :, None, None].to(dtype) for d in (btf.light, btf.view))
-        maps = maps_of(raw, parts)
+        maps = maps_of(raw)
+        ambient = maps.pop("ambient")
         shaded = self._flat(maps, parts).value(light, view)
-        if self.height is None:
-            return shaded
-        return shaded * surface.lit[btf.light_index[rows]] + raw["ambient"].exp()
+        return shaded if self.height is None else shaded * surface.lit[btf.light_index[rows]] + ambient
 
     def _flat(self, maps: dict[str, Tensor], parts: Parts) -> Distribution:
         if parts not in self.templates:
@@ -292,13 +291,14 @@ class _Fit:
         self.surface = bring_onto(surface.source, self.height, into=surface)
 
     def _material(self, raw: dict[str, Tensor], parts: Parts) -> Distribution:
-        maps = maps_of(raw, parts)
+        maps = maps_of(raw)
+        ambient = maps.pop("ambient")
         most = maps["specular_mask"].max().clamp(min=torch.finfo(maps["specular_mask"].dtype).tiny)
         maps |= {"specular_mask": maps["specular_mask"] / most, "specular": maps["specular"] * most}
         tiles = self.surface.training.tiles
         if self.height is not None:
             own = slopes_from_height(self.height, tiles=tiles)
-            maps |= {"normal": normals_from_slopes(raw["slopes"] - own), "height": self.height, "ambient": raw["ambient"].exp()}
+            maps |= {"normal": normals_from_slopes(raw["slopes"] - own), "height": self.height, "ambient": ambient}
         return Distribution(
             {name: value.detach() for name, value in maps.items()}, lobes=parts.lobes, parts=parts.names,
             storage=self.storage, tiles=tiles,

@@ -82,20 +82,24 @@ def _start_index(features: Tensor, lobes: int, training: Training) -> Tensor:
     return (2 * chosen - 1).reshape(lobes, *features.shape[-2:]).contiguous()
 
 
-def maps_of(raw: dict[str, Tensor], parts: Parts) -> dict[str, Tensor]:
-    maps = {
-        "diffuse": raw["diffuse"].exp(), "normal": normals_from_slopes(raw["slopes"]),
-        "specular": raw["specular"].exp(), "specular_mask": raw["specular_mask"].exp(),
-    }
-    if parts.lobes > 1:
-        # As with powers: no softmax and no sigmoid.
-        weight = (raw["index"] - raw["index"].detach().amax(dim=0)).exp()
-        maps["index"] = weight / weight.sum(dim=0)
-    if parts.fresnel:
-        maps["fresnel"] = 1 / (1 + (-raw["fresnel"]).exp())
-    if parts.rotation:
-        maps["rotation"] = torch.cat((torch.cos(raw["rotation"]), torch.sin(raw["rotation"])))
-    return maps
+def _weights(logits: Tensor) -> Tensor:
+    weight = (logits - logits.detach().amax(dim=0)).exp()
+    return weight / weight.sum(dim=0)
+
+
+# How a parameter becomes a map; the others are logarithms. torch's softmax and sigmoid round otherwise in what remains of a
+# thread's share, as its power does; exp does not.
+_WAYS = {
+    "index": _weights,
+    "fresnel": lambda logit: 1 / (1 + (-logit).exp()),
+    "rotation": lambda angle: torch.cat((torch.cos(angle), torch.sin(angle))),
+}
+
+
+def maps_of(raw: dict[str, Tensor]) -> dict[str, Tensor]:
+    """Return the maps on the surface that parameters stand for: `slopes` are its whole `normal`, height's and all."""
+    found = {name: _WAYS.get(name, torch.exp)(value) for name, value in raw.items() if name != "slopes"}
+    return found | ({"normal": normals_from_slopes(raw["slopes"])} if "slopes" in raw else {})
 
 
 def anisotropy(surface: Surface, mean: Tensor, slopes: Tensor) -> dict[str, Tensor]:

@@ -18,7 +18,7 @@ from torch import Tensor
 from torchmat.btf import Btf, Split, split_samples
 from torchmat.errors import RangeError, ShapeError, check_option, message
 from torchmat.fit.distribution import _RATE, _ROUNDS, NOT_FINITE, STEP_LIMIT, _Fit
-from torchmat.fit.distribution_maps import Parts
+from torchmat.fit.distribution_maps import Parts, maps_of
 from torchmat.fit.evaluate import evaluate
 from torchmat.fit.surface import Surface, bring_onto
 from torchmat.fit.training import make_training
@@ -156,17 +156,6 @@ class _Refit(_Fit):
                 found[name] = value.clamp(min=share).log()
         return found
 
-    def _of_raw(self, raw: dict[str, Tensor]) -> dict[str, Tensor]:
-        """Return the maps on the surface that the parameters stand for: `normal` is the whole one, height's and all."""
-        ways = {
-            "rotation": lambda angle: torch.cat((torch.cos(angle), torch.sin(angle))), "fresnel": torch.sigmoid,
-            "index": lambda logits: torch.softmax(logits, dim=0),
-        }
-        found = {name: ways.get(name, torch.exp)(value) for name, value in raw.items() if name != "slopes"}
-        if "slopes" in raw:
-            found["normal"] = normals_from_slopes(raw["slopes"])
-        return found
-
     def _set_height(self) -> None:
         """Keep what the material is on the surface, with the normals of the present height."""
         material = self.material if self.height is None else self.material.with_maps(height=self.height)
@@ -180,7 +169,7 @@ class _Refit(_Fit):
     def _predict(self, raw: dict[str, Tensor], parts: Parts, surface: Surface, rows: Tensor) -> Tensor:
         btf, dtype = surface.training.btf, surface.training.dtype
         light, view = (d[rows][:, :, None, None].to(dtype) for d in (btf.light, btf.view))
-        maps = self._of_raw(raw)
+        maps = maps_of(raw)
         ambient = maps.pop("ambient", None)
         shaded = self.template.sharing({**self.template.maps, **maps}).value(light, view)
         if self.height is None:
@@ -190,7 +179,7 @@ class _Refit(_Fit):
         return shaded * surface.lit[btf.light_index[rows]] + ambient
 
     def _result(self, raw: dict[str, Tensor]) -> Distribution:
-        maps = self._of_raw(raw)
+        maps = maps_of(raw)
         if self.height is not None:
             maps["height"] = self.height
             if "slopes" in raw:
