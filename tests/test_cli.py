@@ -165,7 +165,7 @@ def test_bad_input_is_named_and_ends_with_2(config, data, tmp_path, capsys):
     refused(capsys, "Did you mean 'residual'", "fit", config, "--data", data, "--out", out, "--set", "options.residul=half")
     refused(capsys, "KEY=VALUE", "fit", config, "--data", data, "--out", out, "--set", "seed")
     refused(capsys, "Did you mean 'manifest'", "info", data, "--kind", "manifets", "--no-plot")
-    refused(capsys, "manifest.json", "render", tmp_path / "nowhere")
+    refused(capsys, "nowhere", "render", tmp_path / "nowhere")
     refused(capsys, "Did you mean 'texture'", "compare", data, "--models", "textur")
     refused(capsys, "the picture must be writable", "info", data, "--plot", config / "plot.png")
     refused(capsys, "per_light", "fit", config, "--data", data, "--out", out, "--set", "options.phong=per_light",

@@ -1,0 +1,36 @@
+"""The command line: torchmat fit, render, compare, info, geometry, create."""
+
+from __future__ import annotations
+
+import sys
+
+import tyro
+
+from torchmat.cli.compare import Compare
+from torchmat.cli.create import Create
+from torchmat.cli.fit import Fit
+from torchmat.cli.geometry import Geometry
+from torchmat.cli.info import Info
+from torchmat.cli.render import Render
+from torchmat.errors import TorchmatError
+
+_STYLE = (tyro.conf.FlagCreatePairsOff,)
+COMMANDS = {
+    "fit": Fit, "render": Render, "compare": Compare, "info": Info, "geometry": Geometry, "create": Create,
+}
+
+
+def main(arguments: list[str] | None = None, command: str | None = None) -> int:
+    """Run the command line; `command` fixes the subcommand, as the scripts of the same names do."""
+    if command is None:
+        chosen = tyro.extras.subcommand_cli_from_dict(
+            COMMANDS, args=arguments, prog="torchmat", description=__doc__, config=_STYLE
+        )
+    else:
+        chosen = tyro.cli(COMMANDS[command], args=arguments, prog=command, config=_STYLE)
+    try:
+        chosen.run()
+    except TorchmatError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    return 0

@@ -1,0 +1,7 @@
+"""``python -m torchmat.cli``."""
+
+import sys
+
+from torchmat.cli import main
+
+sys.exit(main())

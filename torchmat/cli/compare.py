@@ -1,0 +1,47 @@
+"""torchmat compare."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from torchmat.cli.arguments import SAMPLE, DataArguments
+
+
+@dataclass
+class Compare:
+    """Fit several models to one BTF and print and plot speed against error."""
+
+    data: Annotated[str, tyro.conf.Positional] = SAMPLE
+    """Folder or zip of images; `sample` is the one that ships with the package."""
+    models: list[str] = field(default_factory=list)
+    """Names, with options after a colon: ptm hsh:terms=16 phong_srf:residual=half_light (default: all families)."""
+    out: Path | None = Path("comparison")
+    """Folder for JSON, CSV, HTML and plots; None only prints."""
+    holdout: float = 0.2
+    """Share of samples held out."""
+    holdout_by: str = "pair"
+    """pair, light or view."""
+    seed: int = 0
+    """Seed of the split and of the solvers."""
+    read: Annotated[DataArguments, tyro.conf.arg(name="")] = field(default_factory=DataArguments)
+
+    def run(self) -> None:
+        from torchmat.report.compare import DEFAULT_MODELS, check_target, compare, write_comparison
+        from torchmat.report.tables import comparison_table
+
+        if self.out is not None:
+            check_target(self.out)
+        btf = self.read.load(self.data)
+        rows = compare(
+            btf, self.models or DEFAULT_MODELS, holdout=self.holdout, holdout_by=self.holdout_by, seed=self.seed
+        )
+        print(comparison_table(rows))
+        for row in rows:
+            if row["failed"]:
+                print(f"{row['model']}: {row['failed']}")
+        if self.out is not None:
+            print(f"comparison {write_comparison(rows, self.out, f'Models on {Path(self.data).name}')}")

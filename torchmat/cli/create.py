@@ -1,0 +1,91 @@
+"""torchmat create."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+
+@dataclass
+class Create:
+    """Make a material without a BTF: of one evenly lit picture, or of a folder of PBR textures (ambientCG's names)."""
+
+    path: Annotated[str, tyro.conf.Positional]
+    """A picture, or a folder of textures: *_Color, *_Displacement, *_NormalGL, *_Roughness ..."""
+    out: Path = Path("out")
+    """Folder to write; an earlier material there is replaced."""
+    height_scale: float | None = None
+    """Height of white in texture widths, 0 for a flat surface (default: 0.05; of textures, as their normals say)."""
+    storage: str = "png8"
+    """How textures are stored: png8, png16, tiff8, tiff16, half or float."""
+    no_pictures: bool = False
+    """Write the material only."""
+    specular: list[str] = field(default_factory=lambda: ["glossy"])
+    """Picture only: glossy, soft, rim, anisotropic or noise, as glossy:width=0.1; several: its colours, dark to light."""
+    softness: float = 0.0
+    """Picture only: how softly its colours pass into each other, in Lab units."""
+    mask: tuple[float, float] = (0.0, 1.0)
+    """Picture only: brightness and contrast of the specular mask."""
+    fresnel: tuple[float, float] = (-0.43, 0.1)
+    """Picture only: brightness and contrast of the reflectance at normal incidence."""
+    darken: float = 0.2
+    """Picture only: share of its light that is not diffuse."""
+    centre: Annotated[list[tuple[float, float]], tyro.conf.UseAppendAction] = field(default_factory=list)
+    """Picture only: u and v (0 to 1, v up) about which the specular map turns; may be repeated."""
+    tilt: str | None = None
+    """Picture only: default, velvet, gentle or flat."""
+    tiles: bool = False
+    """Picture only: it repeats; textures of a set always do."""
+    encoding: str = "auto"
+    """Picture only: auto, srgb or linear."""
+    seed: int = 0
+    """Picture only: seed of the search for its colours."""
+    lobes: int = 3
+    """Textures only: how many specular maps stand for all roughnesses."""
+    occlusion: bool = False
+    """Textures only: multiply the diffuse part by the occlusion texture."""
+
+    def run(self) -> None:
+        from torchmat.material_io import check_target, save_material
+        from torchmat.report.maps import hemisphere_picture, maps_picture
+
+        check_target(self.out)  # before the work, not after it
+        material = self._from_textures() if Path(self.path).is_dir() else self._from_picture()
+
+        def draw(building: Path) -> None:
+            if not self.no_pictures:
+                maps_picture(material, building / "maps.png")
+                hemisphere_picture(material, building / "hemisphere.png")
+
+        folder = save_material(material, self.out, {"created_from": Path(self.path).resolve().name}, draw)
+        for path in sorted(folder.iterdir()):
+            print(f"material   {path}")
+
+    def _from_textures(self):
+        from torchmat.create import material_from_textures
+        from torchmat.create.textures import find_textures
+
+        for name in find_textures(self.path).ignored:
+            print(f"ignored    {name}")
+        return material_from_textures(
+            self.path, lobes=self.lobes, height_scale=self.height_scale, occlusion=self.occlusion, storage=self.storage
+        )
+
+    def _from_picture(self):
+        from torchmat.btf.decode import ENCODINGS
+        from torchmat.btf.photographs import read_linear
+        from torchmat.create import material_from_picture
+        from torchmat.errors import check_option
+
+        check_option("create", "encoding", self.encoding, ENCODINGS)
+        scale = {} if self.height_scale is None else {"height_scale": self.height_scale}
+        return material_from_picture(
+            read_linear(self.path, self.encoding), lobes=len(self.specular), specular=self.specular,
+            mask_brightness=self.mask[0], mask_contrast=self.mask[1], fresnel_brightness=self.fresnel[0],
+            fresnel_contrast=self.fresnel[1], darken=self.darken, softness=self.softness,
+            rotation_centres=self.centre, tilt=self.tilt, tiles=self.tiles, storage=self.storage, seed=self.seed,
+            **scale,
+        )

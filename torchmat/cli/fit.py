@@ -1,0 +1,49 @@
+"""torchmat fit."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from torchmat.cli.arguments import SAMPLE, DataArguments
+
+
+@dataclass
+class Fit:
+    """Fit a material to a BTF and write it with its report and pictures."""
+
+    config: Annotated[Path, tyro.conf.Positional]
+    """TOML config, for example configs/phong_srf.toml."""
+    data: str = SAMPLE
+    """Folder or zip of images; `sample` is the one that ships with the package."""
+    out: Path = Path("out")
+    """Folder to write; an earlier material there is replaced."""
+    set: Annotated[list[str], tyro.conf.UseAppendAction] = field(default_factory=list)
+    """Override a key of the config, for example --set options.residual=half_light; may be repeated."""
+    no_pictures: bool = False
+    """Write the material and report.json only."""
+    read: Annotated[DataArguments, tyro.conf.arg(name="")] = field(default_factory=DataArguments)
+
+    def run(self) -> None:
+        from torchmat.fit import fit, load_config
+        from torchmat.fit.on_relief import GEOMETRIES
+        from torchmat.material_io import check_target, load_height
+        from torchmat.report import write_fit
+        from torchmat.report.tables import error_table, summary_table
+
+        check_target(self.out)  # before the work, not after it
+        config = load_config(self.config, self.set)
+        height = None if config.geometry in GEOMETRIES else load_height(config.geometry)
+        btf = self.read.load(self.data, config.data)
+        result = fit(btf, config, geometry=height)
+        folder = write_fit(btf, result, self.out, pictures=not self.no_pictures)
+        print(summary_table(result.report))
+        print()
+        print(error_table(result.report))
+        print()
+        print(f"material   {folder}")
+        for path in sorted(folder.glob("report.*")) + sorted((folder / "pictures").glob("*.png")):
+            print(f"{'report' if path.stem == 'report' else 'picture':10s} {path}")

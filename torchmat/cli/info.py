@@ -1,0 +1,40 @@
+"""torchmat info."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from torchmat.cli.arguments import SAMPLE, DataArguments
+
+
+@dataclass
+class Info:
+    """Describe any input: a folder or zip of images, a material folder, a shading map, or a measured BRDF."""
+
+    path: Annotated[str, tyro.conf.Positional] = SAMPLE
+    """What to describe."""
+    plot: Path | None = None
+    """Where to write the picture of lights and views (default: directions.png in the current folder; BTFs only)."""
+    no_plot: bool = False
+    """Print only."""
+    read: Annotated[DataArguments, tyro.conf.arg(name="")] = field(default_factory=DataArguments)
+
+    def run(self) -> None:
+        from torchmat.report.describe import describe_brdf, describe_btf, describe_material, is_brdf, is_material
+
+        if is_material(self.path):
+            print(describe_material(self.path))
+            return
+        if is_brdf(self.path):
+            print(describe_brdf(self.path))
+            return
+        btf = self.read.load(self.path)
+        print(describe_btf(btf))
+        if not self.no_plot:
+            from torchmat.report.pictures import directions_picture
+
+            print(f"picture    {directions_picture(btf, self.plot or Path('directions.png'))}")

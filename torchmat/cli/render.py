@@ -1,0 +1,133 @@
+"""torchmat render."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from torchmat.cli.arguments import DataArguments
+
+_Direction = tuple[float, float, float]
+_DEFAULT_MESHES = ("patch", "sphere")
+_SPHERE_REPEAT = 2.0
+
+
+@dataclass
+class Render:
+    """Show a material, a measured BRDF or a BTF as it was measured on objects: pictures, turntables, light sweeps."""
+
+    material: Annotated[str, tyro.conf.Positional]
+    """Material folder, shading map (.3pm), BRDF file (.binary, .bsdf), or a BTF."""
+    out: Path | None = None
+    """Folder for the pictures (default: pictures/ inside the material folder, else in the current one)."""
+    mesh: list[str] = field(default_factory=list)
+    """patch, quad, cube, sphere, torus, teapot, or mesh files; several (default: patch sphere)."""
+    light: Annotated[list[_Direction], tyro.conf.UseAppendAction] = field(default_factory=list)
+    """Direction to a distant light, x y z; may be repeated, lights add up."""
+    point: Annotated[list[_Direction], tyro.conf.UseAppendAction] = field(default_factory=list)
+    """Position of a point light, x y z, in the mesh's units; gives 1 at distance 1. May be repeated."""
+    environment: Path | None = None
+    """Latitude-longitude picture that lights the object, alone or beside other lights."""
+    environment_lights: int = 64
+    """How many distant lights stand for the environment."""
+    view: _Direction = (0.0, 0.0, 1.0)
+    """Direction to the camera, which frames the object (of the patch: in its tangent frame)."""
+    field_of_view_deg: float | None = None
+    """Angle that the picture's width spans (default: the camera is far away)."""
+    size: int = 512
+    """Width of the pictures."""
+    repeat: float | None = None
+    """Factor on the texture coordinates (default: 2 on the sphere, else 1)."""
+    shadows: bool = False
+    """Parts of the object hide others from the lights."""
+    rays: int = 4
+    """1, 4, 9 or 16 through each pixel."""
+    turntable: int = 0
+    """Number of pictures of the object turning before the camera: a contact sheet and an animated PNG."""
+    sweep: int = 0
+    """Number of pictures under a light that goes round the view: a contact sheet and an animated PNG."""
+    gif: bool = False
+    """Animate as GIF, which has 255 colours a picture."""
+    exposure: float = 1.0
+    """Factor on the 8-bit pictures' brightness."""
+    exr: bool = False
+    """Write linear EXR beside the 8-bit PNG."""
+    read: DataArguments = field(default_factory=DataArguments)
+
+    def run(self) -> None:
+        from torchmat.report.describe import is_material
+
+        shader = self._load()
+        inside = Path(self.material).is_dir() and is_material(self.material)
+        folder = self.out or (Path(self.material) / "pictures" if inside else Path("pictures"))
+        lights = self._lights()
+        for mesh in self.mesh or _DEFAULT_MESHES:
+            stem = folder / f"render_{Path(mesh).stem}"
+            for path in self._pictures(shader, mesh, lights, stem):
+                print(f"picture    {path}")
+
+    def _load(self):
+        from torchmat import load_brdf, load_material
+        from torchmat.render.raw_btf import RawBtf
+        from torchmat.report.describe import is_brdf, is_material
+
+        if is_material(self.material):
+            return load_material(self.material)
+        if is_brdf(self.material):
+            return load_brdf(self.material)
+        return RawBtf(self.read.load(self.material))
+
+    def _lights(self) -> list:
+        from torchmat.btf.photographs import read_linear
+        from torchmat.render import Directional, Point, environment_lights
+        from torchmat.render.render import DEFAULT_LIGHT
+
+        lights = [*map(Directional, self.light), *map(Point, self.point)]
+        if self.environment is not None:
+            lights += environment_lights(read_linear(self.environment), self.environment_lights)
+        return lights or [Directional(DEFAULT_LIGHT)]
+
+    def _pictures(self, shader, mesh: str, lights: list, stem: Path) -> list[Path]:
+        from torchmat.render import Camera, render
+        from torchmat.render.files import write_picture
+        from torchmat.render.mesh import as_mesh
+        from torchmat.render.render import PATCH
+
+        repeat = self.repeat or (_SPHERE_REPEAT if mesh == "sphere" else 1.0)
+        if (self.turntable or self.sweep) and mesh != PATCH:
+            return self._animate(shader, as_mesh(mesh), lights, repeat, stem)
+        body = mesh if mesh == PATCH else as_mesh(mesh)
+        camera = None
+        if self.field_of_view_deg is not None and mesh != PATCH:
+            camera = Camera.framing(body.centre, body.radius, self.view, math.radians(self.field_of_view_deg))
+        picture = render(
+            shader, body, lights, self.view, self.size, repeat, camera=camera, shadows=self.shadows, rays=self.rays
+        )
+        return write_picture(picture, stem.with_suffix(".png"), self.exposure, self.exr)
+
+    def _animate(self, shader, body, lights: list, repeat: float, stem: Path) -> list[Path]:
+        from torchmat.render.animate import contact_sheet, write_animation
+        from torchmat.render.files import write_picture
+        from torchmat.render.sequences import light_sweep, turntable
+
+        angle = None if self.field_of_view_deg is None else math.radians(self.field_of_view_deg)
+        common = {
+            "size": self.size, "repeat": repeat, "field_of_view": angle, "shadows": self.shadows, "rays": self.rays,
+        }
+        sequences = {}
+        if self.turntable:
+            sequences["turntable"] = turntable(shader, body, lights, self.turntable, **common)
+        if self.sweep:
+            sequences["sweep"] = light_sweep(shader, body, self.sweep, view=self.view, **common)
+        written = []
+        for name, pictures in sequences.items():
+            pictures = list(pictures)
+            target = stem.with_name(f"{stem.name}_{name}{'.gif' if self.gif else '.apng'}")
+            sheet = stem.with_name(f"{stem.name}_{name}.png")
+            written += write_picture(contact_sheet(pictures), sheet, self.exposure, self.exr)
+            written.append(write_animation(pictures, target, exposure=self.exposure))
+        return written
