@@ -141,3 +141,42 @@ def test_files_below_are_asked_for_by_their_relative_names(tmp_path):
     atomic.refuse_foreign(tmp_path / "absent", lambda name: False, "ours")
     with pytest.raises(DataError, match="it is a file"):
         atomic.refuse_foreign(tmp_path / "ours.txt", lambda name: True, "ours")
+
+
+def test_a_file_appears_whole(tmp_path):
+    target = tmp_path / "a b ü.bin"
+    with atomic.building_file(target) as built:
+        assert built.name == target.name
+        built.write_bytes(b"new")
+        assert not target.exists()
+    assert target.read_bytes() == b"new" and [path.name for path in tmp_path.iterdir()] == [target.name]
+
+
+def test_a_file_that_fails_leaves_the_old_one(tmp_path):
+    target = tmp_path / "a.bin"
+    target.write_bytes(b"old")
+    with pytest.raises(ZeroDivisionError), atomic.building_file(target) as built:
+        built.write_bytes(b"half")
+        raise ZeroDivisionError
+    with pytest.raises(DataError, match="a.bin: the file must be written whole"), atomic.building_file(target):
+        pass  # nothing was built
+    assert target.read_bytes() == b"old" and [path.name for path in tmp_path.iterdir()] == ["a.bin"]
+
+
+def test_a_link_to_a_file_stays_a_link(tmp_path):
+    (tmp_path / "real.bin").write_bytes(b"old")
+    link = tmp_path / "link.bin"
+    link.symlink_to(tmp_path / "real.bin")
+    with atomic.building_file(link) as built:
+        built.write_bytes(b"new")
+    assert link.is_symlink() and (tmp_path / "real.bin").read_bytes() == b"new"
+
+
+def test_a_file_where_none_can_be_is_an_error(tmp_path):
+    (tmp_path / "file").write_bytes(b"")
+    with pytest.raises(DataError, match="must be writable"), atomic.building_file(tmp_path / "file" / "a.bin"):
+        pass
+    (tmp_path / "folder").mkdir()
+    with pytest.raises(DataError, match="written whole"), atomic.building_file(tmp_path / "folder") as built:
+        built.write_bytes(b"new")
+    assert (tmp_path / "folder").is_dir()

@@ -1,4 +1,4 @@
-"""Folders that appear whole or not at all.
+"""Folders and files that appear whole or not at all.
 
 A folder is built beside its target under a hidden name and then swapped in with one rename, so that a crash, a kill
 or a full disk leaves either what was there before or what should be there, never half of it.
@@ -125,5 +125,31 @@ def building(target: str | Path, durable: bool = True) -> Iterator[Path]:
     except OSError as error:
         step = "Free some space or choose another folder; what was there before is untouched."
         raise DataError(message(str(target), "the folder", "be written whole", str(error), step)) from error
+    finally:
+        shutil.rmtree(built, ignore_errors=True)
+
+
+@contextmanager
+def building_file(target: str | Path) -> Iterator[Path]:
+    """Yield a path of the same name in a hidden folder beside `target`; move the file there when the block ends.
+
+    So the file appears whole or not at all, and one that was there before stays until then; a link stays a link. Raises
+    DataError, which names the file, when it cannot be written; whatever else the block raises passes through.
+    """
+    target = Path(os.path.realpath(target))
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        _sweep(target)
+        built = Path(tempfile.mkdtemp(prefix=f"{_prefix(target)}{os.getpid()}-", dir=target.parent))
+    except OSError as error:
+        step = "Choose a folder that can be written to."
+        raise DataError(message(str(target), "the file", "be writable", str(error), step)) from error
+    try:
+        yield built / target.name
+        _sync(built)
+        os.replace(built / target.name, target)
+    except OSError as error:
+        step = "Free some space or choose another path; what was there before is untouched."
+        raise DataError(message(str(target), "the file", "be written whole", str(error), step)) from error
     finally:
         shutil.rmtree(built, ignore_errors=True)
