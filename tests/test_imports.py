@@ -13,16 +13,17 @@ PACKAGE = Path(torchmat.__file__).parent
 LEVELS = {
     "errors": 0, "safe": 0, "colour": 0, "progress": 0, "machine": 0, "atomic": 1,
     "frames": 1, "images": 1, "metrics": 1, "sample": 1,
-    "btf": 2, "geometry": 2, "models": 3, "fit": 4, "render": 4, "material_io": 4, "create": 4, "report": 5, "cli": 6,
+    "brdf": 2, "btf": 2, "geometry": 2, "models": 3, "fit": 4, "render": 4, "material_io": 4, "create": 4,
+    "report": 5, "cli": 6,
 }
 _SIDE_BY_SIDE = {"fit", "render", "material_io", "create"}
 ROOMS_THAT_DO_NOT_MEET = {room: _SIDE_BY_SIDE - {room} for room in _SIDE_BY_SIDE}
 ROOMS_THAT_DO_NOT_MEET["models"] = {"btf"}
 
 PUBLIC = {
-    "Btf", "DataError", "FitConfig", "FitError", "FitResult", "Material", "RangeError", "ShapeError", "TorchmatError",
-    "compare", "evaluate", "fit", "load_btf", "load_config", "load_material", "render", "sample_path", "sample_truth",
-    "save_material", "split_samples",
+    "Brdf", "Btf", "DataError", "FitConfig", "FitError", "FitResult", "Material", "RangeError", "ShapeError",
+    "TorchmatError", "compare", "evaluate", "fit", "load_brdf", "load_btf", "load_config", "load_material", "render",
+    "sample_path", "sample_truth", "save_material", "split_samples",
 }
 
 

@@ -2,21 +2,33 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import torch
 from torch import Tensor
 
 from torchmat import frames
+from torchmat.brdf import Brdf, MerlBrdf, RglBrdf, brdf_kind, load_brdf
+from torchmat.brdf.albedo import half_vector_rule
+from torchmat.brdf.load import SUFFIXES
 from torchmat.btf import Btf
 from torchmat.material_io import load_material
 from torchmat.material_io.folder import MANIFEST
 from torchmat.report.tables import number, text_table
 
+_ALBEDO_DEG = (0, 45, 75)
+_STEPS = 128  # the albedo of Lambert is then right to 2e-4
+
 
 def is_material(path: str | Path) -> bool:
     """Return whether `path` is a material folder."""
     return (Path(path) / MANIFEST).is_file()
+
+
+def is_brdf(path: str | Path) -> bool:
+    """Return whether `path` is a file of a measured BRDF, or is called like one (and then is reported if damaged)."""
+    return Path(path).is_file() and (brdf_kind(path) is not None or Path(path).suffix.lower() in SUFFIXES)
 
 
 def _polar_range(directions: Tensor) -> str:
@@ -62,3 +74,48 @@ def describe_material(path: str | Path) -> str:
         value = material.maps[spec.name].detach()
         maps.append([spec.name, spec.meaning, str(tuple(value.shape)), float(value.min()), float(value.max())])
     return text_table(["", ""], facts) + "\n\n" + text_table(["map", "meaning", "shape", "least", "largest"], maps)
+
+
+def describe_brdf(path: str | Path) -> str:
+    """Return a table of a measured BRDF: kind, resolution, range of values, albedo at three angles, missing samples.
+
+    The albedo is the share of even white light from all sides that leaves toward a view at that polar angle; the range
+    is taken over the directions that it is summed over. Raises DataError, which names the file, as `load_brdf` does.
+    """
+    brdf = load_brdf(path)
+    rows = [["source", str(path)], *_kind_rows(brdf)]
+    low, high, albedos = math.inf, 0.0, []
+    for polar in torch.deg2rad(torch.tensor(_ALBEDO_DEG, dtype=brdf.dtype)):
+        view = frames.from_polar(polar, torch.zeros_like(polar))
+        light, weight = half_vector_rule(view, _STEPS)
+        value = brdf.shade(light, view[:, None, None])
+        albedos.append((value * weight).double().sum(dim=(1, 2)) / math.pi)
+        found = value[(weight > 0).expand(3, -1, -1)]
+        low, high = min(low, float(found.min())), max(high, float(found.max()))
+    rows.append(["pi f_r cos(light)", f"{number(low)} to {number(high)}"])
+    for polar_deg, albedo in zip(_ALBEDO_DEG, albedos, strict=True):
+        rows.append([f"albedo at {polar_deg} degrees (r, g, b)", ", ".join(number(float(part)) for part in albedo)])
+    return text_table(["", ""], rows)
+
+
+def _kind_rows(brdf: Brdf) -> list[list[str]]:
+    """Return the rows that only a table of this kind has."""
+    isotropic = "isotropic" if brdf.isotropic else "anisotropic"
+    if isinstance(brdf, MerlBrdf):
+        half, difference, azimuth = brdf.resolution
+        entries = half * difference * azimuth
+        percent = 100 * brdf.missing_count / entries
+        return [
+            ["kind", f"MERL table, {isotropic}, reciprocal"],
+            ["resolution", f"{half} half x {difference} difference x {azimuth} azimuth angles, RGB"],
+            ["missing samples", f"{brdf.missing_count} of {entries} ({percent:.4g} %), filled in"],
+        ]
+    if not isinstance(brdf, RglBrdf):
+        return [["kind", f"{brdf.name}, {isotropic}"]]
+    azimuths, polars, _, rows, columns = brdf.resolution
+    return [
+        ["kind", f"RGL measurement, {isotropic}, {brdf.measured_as}"],
+        ["description", brdf.description or "none"],
+        ["resolution", f"{azimuths} azimuth x {polars} polar angles, {rows} x {columns} each"],
+        ["negative colours", f"{100 * brdf.negative_share:.4g} % (outside of sRGB; they count as 0)"],
+    ]
