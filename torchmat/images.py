@@ -2,18 +2,29 @@
 
 from __future__ import annotations
 
+import struct
+import zlib
+from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, BinaryIO
 
 import numpy as np
 
-from torchmat.errors import DataError, ShapeError, message
+from torchmat import atomic
+from torchmat.errors import DataError, RangeError, ShapeError, message
 
 if TYPE_CHECKING:
     from OpenImageIO import ImageOutput, ImageSpec
 
 IMAGE_SUFFIXES = frozenset({".jpg", ".jpeg", ".png", ".exr", ".tif", ".tiff", ".hdr", ".bmp", ".tga", ".ppm"})
+MOVING_SUFFIXES = frozenset({".png", ".apng", ".gif"})
 _WRITABLE = {"uint8": "uint8", "uint16": "uint16", "float16": "half", "float32": "float"}
+
+_PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
+# Asks for endless repetition, and a comment of the same length to stand in its place.
+_GIF_LOOP = b"\x21\xff\x0bNETSCAPE2.0\x03\x01\x00\x00\x00"
+_GIF_COMMENT = b"\x21\xfe\x0fplays only once\x00"
+_GIF_END = b";"
 
 
 def _unreadable(path: str | Path, reason: str) -> DataError:
@@ -94,9 +105,7 @@ def write_image(path: str | Path, pixels: np.ndarray, channel_names: tuple[str, 
     written = opened and target.write_image(np.ascontiguousarray(pixels))
     closed = target.close()
     if not (written and closed):
-        reason = " ".join((target.geterror() or oiio.geterror()).split()) or "writing failed"
-        step = "Check that the folder exists, can be written to, and that the disk is not full."
-        raise DataError(message(str(path), "the image", "be writable", reason.rstrip("."), step))
+        raise _unwritable(path, target.geterror() or oiio.geterror())
 
 
 def _refuse_conversion(path: str | Path, wanted: ImageSpec, target: ImageOutput) -> None:
@@ -111,3 +120,143 @@ def _refuse_conversion(path: str | Path, wanted: ImageSpec, target: ImageOutput)
     fact = f"it has {stored}" if channels_kept else "it has no alpha"
     step = "Use .exr for float, .png for 8 or 16 bits."
     raise DataError(message(str(path), "the suffix", requirement, fact, step))
+
+
+def write_frames(path: str | Path, frames: Iterable[np.ndarray], seconds: float = 0.1, loop: bool = True) -> int:
+    """Write frames [H, W, 3], uint8, as one animated file, each as it comes; return how many there were.
+
+    The suffix decides: .png or .apng keeps every colour (APNG: the frames as OpenImageIO writes them, chained as the
+    PNG standard's third edition says), .gif has 255 colours a frame, dithered. Each frame stands for `seconds`, 0.02 to
+    600, rounded to hundredths; `loop` False plays once. Raises ShapeError when a frame has another size than the first,
+    RangeError when there is none, DataError when the file cannot be written. The file appears when its last frame is
+    written; one that was there before stays until then.
+    """
+    where, suffix = str(path), Path(path).suffix.lower()
+    if suffix not in MOVING_SUFFIXES:
+        requirement = f"be one of {', '.join(sorted(MOVING_SUFFIXES))}"
+        step = "Write .png, which keeps every colour; other programs turn it into a film."
+        raise DataError(message(where, "the suffix of moving pictures", requirement, f"it is {suffix!r}", step))
+    if not 0.02 <= seconds <= 600:
+        step = "Viewers show shorter frames more slowly than they say."
+        raise RangeError(message(where, "the seconds per frame", "lie in [0.02, 600]", f"they are {seconds}", step))
+    write = _write_gif if suffix == ".gif" else _write_apng
+    with atomic.building_file(_file_name(path)) as built:
+        count = write(where, built, _alike(where, frames), round(seconds * 100), loop)
+        if not count:
+            step = "Give the pictures to show."
+            raise RangeError(message(where, "frames", "be at least one", "there is none", step))
+    return count
+
+
+def _unwritable(path: str | Path, reason: str) -> DataError:
+    reason = " ".join(reason.split()) or "writing failed"
+    step = "Check that the folder exists, can be written to, and that the disk is not full."
+    return DataError(message(str(path), "the image", "be writable", reason.rstrip("."), step))
+
+
+def _alike(where: str, frames: Iterable[np.ndarray]) -> Iterator[np.ndarray]:
+    """Pass frames on, each checked as it comes: [H, W, 3] of uint8, all of the first one's size."""
+    shape = None
+    for number, frame in enumerate(frames):
+        if frame.ndim != 3 or frame.shape[2] != 3 or 0 in frame.shape or frame.dtype != np.uint8:
+            fact = f"frame {number} is {frame.shape} of {frame.dtype}"
+            raise ShapeError(message(where, "frames", "be [H, W, 3] of uint8", fact))
+        shape = shape or frame.shape
+        if frame.shape != shape:
+            fact = f"frame {number} is {frame.shape[:2]} and frame 0 is {shape[:2]}"
+            raise ShapeError(message(where, "frames", "have one size", fact, "Render all with the same camera size."))
+        yield np.ascontiguousarray(frame)
+
+
+def _write_gif(where: str, path: Path, frames: Iterator[np.ndarray], hundredths: int, loop: bool) -> int:
+    import OpenImageIO as oiio
+
+    count, target = 0, oiio.ImageOutput.create(str(path))
+    for frame in frames:
+        spec = oiio.ImageSpec(frame.shape[1], frame.shape[0], 3, "uint8")
+        # The writer truncates 100 / rate to whole hundredths; half a hundredth more keeps it on the right side.
+        spec.attribute("FramesPerSecond", 100 / (hundredths + 0.5))
+        opened = target.open(str(path), spec, "AppendSubimage" if count else "Create")
+        if not (opened and target.write_image(frame)):
+            reason = target.geterror() or oiio.geterror()
+            target.close()
+            raise _unwritable(where, reason)
+        count += 1
+    target.close()
+    if count:
+        _check_gif(where, path, count, loop)
+    return count
+
+
+def _check_gif(where: str, path: Path, count: int, loop: bool) -> None:
+    """Raise DataError unless all frames are on the disk: the writer goes on in silence when the disk is full."""
+    import OpenImageIO as oiio
+
+    source = oiio.ImageInput.open(str(path))
+    whole = source is not None and source.seek_subimage(count - 1, 0) and source.read_image(oiio.UINT8) is not None
+    reason = "" if whole or source is None else source.geterror()
+    if source is not None:
+        source.close()
+    with open(path, "rb+") as stream:
+        head = stream.read(64)
+        stream.seek(-1, 2)
+        if not whole or stream.read() != _GIF_END:
+            raise _unwritable(where, reason or "the file ends early")
+        if not loop and _GIF_LOOP in head:
+            stream.seek(head.index(_GIF_LOOP))
+            stream.write(_GIF_COMMENT)
+
+
+def _chunk(kind: bytes, data: bytes) -> bytes:
+    return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+
+
+def _chunks(png: bytes) -> Iterator[tuple[bytes, bytes]]:
+    """Yield (kind, data) of each chunk of a PNG file."""
+    place = len(_PNG_SIGNATURE)
+    while place < len(png):
+        (length,) = struct.unpack_from(">I", png, place)
+        yield png[place + 4 : place + 8], png[place + 8 : place + 8 + length]
+        place += length + 12
+
+
+def _write_apng(where: str, path: Path, frames: Iterator[np.ndarray], hundredths: int, loop: bool) -> int:
+    """Write an animated PNG: the first frame is one that any program reads, the others follow in other chunks."""
+    count, sequence, still = 0, 0, path.with_name("still.png")
+    with open(path, "wb") as stream:
+        for frame in frames:
+            try:
+                write_image(still, frame)
+            except DataError as error:
+                raise _unwritable(where, str(error)) from error
+            chunks = list(_chunks(still.read_bytes()))
+            if not count:
+                head = stream.write(_PNG_SIGNATURE + _chunk(*chunks[0]))
+                stream.write(_chunk(b"acTL", bytes(8)))  # how many frames there are is known at the end
+                described = [chunk for chunk in chunks[1:] if chunk[0] in (b"sRGB", b"gAMA", b"cHRM")]
+                stream.write(b"".join(_chunk(*chunk) for chunk in described))
+            sequence = _write_apng_frame(stream, frame, chunks, sequence, hundredths)
+            count += 1
+        if count:
+            stream.write(_chunk(b"IEND", b""))
+            stream.seek(head)
+            stream.write(_chunk(b"acTL", struct.pack(">II", count, 0 if loop else 1)))
+    return count
+
+
+def _write_apng_frame(
+    stream: BinaryIO, frame: np.ndarray, chunks: list[tuple[bytes, bytes]], sequence: int, hundredths: int
+) -> int:
+    """Write one frame's control chunk and pixels; return the number of the next chunk in the sequence."""
+    height, width = frame.shape[:2]
+    # Placed at the corner, left there for the next frame, and put over whatever was there before.
+    control = struct.pack(">IIIIIHHBB", sequence, width, height, 0, 0, hundredths, 100, 0, 0)
+    first = sequence == 0
+    stream.write(_chunk(b"fcTL", control))
+    sequence += 1
+    pixels = b"".join(data for kind, data in chunks if kind == b"IDAT")
+    if first:
+        stream.write(_chunk(b"IDAT", pixels))
+        return sequence
+    stream.write(_chunk(b"fdAT", struct.pack(">I", sequence) + pixels))
+    return sequence + 1
