@@ -1,5 +1,7 @@
-"""Pictures of materials."""
+"""Pictures of materials on objects, under lights, seen by a camera."""
 
+from torchmat.render.camera import Camera
+from torchmat.render.lights import Directional, Point, environment_lights
 from torchmat.render.render import render
 
-__all__ = ["render"]
+__all__ = ["Camera", "Directional", "Point", "environment_lights", "render"]

@@ -101,12 +101,12 @@ def as_mesh(mesh: str | Path | Mesh | trimesh.Trimesh) -> Mesh:
     Of trimesh's, texture coordinates are taken and normals are computed as for a file without. Raises RangeError for
     a word that is neither a shape nor a file, DataError as `load_mesh` does, and RangeError for anything else.
     """
-    from torchmat.render.shapes import SHAPES, make_mesh  # made of meshes, so this module cannot import it on top
+    from torchmat.render.shapes import SHAPES  # made of meshes, so this module cannot import it on top
 
     if isinstance(mesh, Mesh):
         return mesh
     if isinstance(mesh, str) and mesh in SHAPES:
-        return make_mesh(mesh)
+        return _shape(mesh)
     if isinstance(mesh, (str, Path)):
         if isinstance(mesh, str) and not Path(mesh).suffix and not Path(mesh).exists():
             check_option("as_mesh", "mesh", mesh, (*SHAPES, "the path of a mesh file"))
@@ -115,6 +115,14 @@ def as_mesh(mesh: str | Path | Mesh | trimesh.Trimesh) -> Mesh:
         return build(of_trimesh(mesh, "as_mesh"), "auto", "mesh", "as_mesh")
     fact = f"it is a {type(mesh).__name__}"
     raise RangeError(message("as_mesh", "mesh", "be a shape's name, a file, a Mesh or a trimesh.Trimesh", fact))
+
+
+@functools.cache
+def _shape(name: str) -> Mesh:
+    """Return a shape, made once: what takes long is Embree's search tree, which a mesh keeps."""
+    from torchmat.render.shapes import make_mesh
+
+    return make_mesh(name)
 
 
 def build(triangles: Triangles, uv: str, name: str, where: str) -> Mesh:

@@ -1,85 +1,79 @@
-"""Pictures of a material on simple shapes: the flat patch and a sphere, seen from far away."""
+"""render: a material, a shape, lights and a camera in, a linear picture out."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 import torch
-import torch.nn.functional as functional
 from torch import Tensor
 
-from torchmat.errors import RangeError, ShapeError, check_option, message
-from torchmat.models import Material
+from torchmat.errors import RangeError, message
+from torchmat.render.camera import Camera
+from torchmat.render.lights import Directional, Light, as_light, unit
+from torchmat.render.mesh import Mesh, as_mesh
+from torchmat.render.mipmap import Pyramid, Shader
+from torchmat.render.objects import shade_visible
+from torchmat.render.visibility import picture_size, see
 
-SHAPES = ("patch", "sphere")
-_SUPERSAMPLING = 2
+if TYPE_CHECKING:
+    import trimesh
+
+PATCH = "patch"
 DEFAULT_LIGHT = (-0.4, 0.5, 0.768)
-
-
-def _unit(name: str, direction: Sequence[float] | Tensor, dtype: torch.dtype) -> Tensor:
-    vector = torch.as_tensor(direction, dtype=dtype)
-    if vector.shape != (3,):
-        raise ShapeError(message("render", name, "be x, y, z", f"its shape is {tuple(vector.shape)}"))
-    if not bool(torch.isfinite(vector).all()) or float(vector.norm()) == 0:
-        raise RangeError(message("render", name, "be a finite direction", f"it is {vector.tolist()}"))
-    return vector / vector.norm()
+FRONT = (0.0, 0.0, 1.0)
 
 
 def render(
-    material: Material, mesh: str = "sphere", lights: Sequence[Sequence[float]] = (DEFAULT_LIGHT,),
-    view: Sequence[float] = (0.0, 0.0, 1.0), size: int = 512, repeat: float = 1.0,
+    material: Shader, mesh: str | Path | Mesh | trimesh.Trimesh = "sphere",
+    lights: Sequence[Light | Sequence[float]] = (DEFAULT_LIGHT,), view: Sequence[float] = FRONT,
+    size: int | tuple[int, int] = 512, repeat: float = 1.0, *, camera: Camera | None = None, shadows: bool = False,
+    rays: int = 4, edges_only: bool = False,
 ) -> Tensor:
-    """Return a linear picture of the material on a shape, lit by distant `lights`, seen along `view`.
+    """Return a linear picture [3, rows, columns] of a material on an object.
 
-    It is [3, size, size]; of a patch that is not square [3, rows, size], with texels as high as wide.
-    `mesh` is "patch" (the flat sample filling the picture, light and view in its tangent frame) or "sphere" (lights in
-    the picture's frame: x right, y up, z toward the viewer; `view` must then be that z). `repeat` is how often the
-    texture fits across the patch, or around a quarter of the equator. Lights add up; their length does not matter.
+    `material` is a Material, a Brdf, or a RawBtf. `mesh` is "patch" (the flat sample filling the picture, texels as high
+    as wide), "quad", "cube", "sphere", "torus", "teapot", a file that trimesh reads, or a Mesh. `lights` are Directional,
+    Point, or x, y, z of a distant one; they add up. `view` is the direction from the object to a far camera that frames
+    it, unless `camera` is given; both and the lights are in the scene's frame: x right, y up, z toward the default
+    camera (of the patch: its tangent frame). `size` is (rows, columns) or one number for both; of a patch the columns.
+    `repeat` multiplies texture coordinates. With `shadows` parts of the object hide others from the light. `rays` 1, 4, 9
+    or 16 go through a pixel; `edges_only` sends one through those whose neighbours show the same.
+
+    To light one view again and again, keep what it sees: `see` and `shade_visible`.
+    Raises RangeError for what lies outside, ShapeError for directions that are not x, y, z, DataError for a bad mesh.
     """
-    check_option("render", "mesh", mesh, SHAPES)
-    if size < 1 or not 0 < repeat < math.inf:
-        raise RangeError(message("render", "size and repeat", "be positive", f"they are {size} and {repeat}"))
-    dtype = material.dtype
-    directions = [_unit("light", light, dtype) for light in lights]
-    with torch.no_grad():
-        if mesh == "patch":
-            return _patch(material, directions, _unit("view", view, dtype), size, repeat)
-        if _unit("view", view, dtype)[2] < 1 - 1e-6:
-            raise RangeError(message("render", "view", "be 0, 0, 1 for the sphere", f"it is {tuple(view)}"))
-        return _sphere(material, directions, size, repeat, dtype)
+    picture_size(size, repeat, rays)
+    lamps = [as_light(light) for light in lights]
+    if mesh == PATCH:
+        return _patch(material, lamps, unit("render", "view", view, material.dtype), size, repeat)
+    body = as_mesh(mesh)
+    eye = camera or Camera.framing(body.centre, body.radius, view)
+    visible = see(body, eye, size, rays, edges_only, repeat, material.dtype)
+    return shade_visible(material, visible, lamps, shadows)
 
 
-def _patch(material: Material, lights: list[Tensor], view: Tensor, size: int, repeat: float) -> Tensor:
-    height, width = material.size
+def _patch(material: Shader, lights: list[Light], view: Tensor, size: int | tuple[int, int], repeat: float) -> Tensor:
+    if not isinstance(size, int):
+        raise RangeError(message("render", "size of a patch", "be its columns", f"it is {size}", "Its rows follow."))
+    pyramid = Pyramid(material)
+    height, width = pyramid.size
     rows = max(1, round(size * height / width))
     u = (torch.arange(size, dtype=view.dtype) + 0.5) / size * repeat
     v = (1 - (torch.arange(rows, dtype=view.dtype) + 0.5) / rows) * repeat
     uv = torch.stack(torch.meshgrid(v, u, indexing="ij")[::-1])
     picture = torch.zeros(3, rows, size, dtype=view.dtype)
-    for light in lights:
-        picture += material.shade_at(uv, light[:, None, None], view[:, None, None])
+    with torch.no_grad():
+        # Texels are as high as wide here, so across and down a pixel covers the same number of them.
+        covered = repeat / size * width / max(height, width)
+        parts = pyramid.parts(torch.full((1,), covered, dtype=view.dtype))
+        for light in lights:
+            if not isinstance(light, Directional):
+                step = "Render mesh='quad' to light the sample from near by."
+                raise RangeError(message("render", "the lights of a patch", "be directional", f"one is {light}", step))
+            direction, intensity, _ = light.reach(uv[:, None])
+            for shader, _, weight in parts:
+                shaded = intensity * shader.shade_at(uv, direction, view[:, None, None])
+                picture += shaded if weight is None else shaded * weight
     return picture
-
-
-def _sphere(material: Material, lights: list[Tensor], size: int, repeat: float, dtype: torch.dtype) -> Tensor:
-    fine = size * _SUPERSAMPLING
-    axis = ((torch.arange(fine, dtype=dtype) + 0.5) / fine * 2 - 1) * 1.02
-    y, x = torch.meshgrid(-axis, axis, indexing="ij")
-    inside = x * x + y * y < 1
-    z = torch.sqrt((1 - x * x - y * y).clamp(min=0))
-    normal = torch.stack((x, y, z))
-    # Longitude and latitude: tangents run along the parallels, so that they are continuous but for the two poles.
-    longitude, latitude = torch.atan2(x, z), torch.asin(y.clamp(-1, 1))
-    uv = torch.stack((longitude, latitude)) * (repeat * 2 / math.pi)
-    tangent = torch.stack((torch.cos(longitude), torch.zeros_like(x), -torch.sin(longitude)))
-    bitangent = torch.linalg.cross(normal, tangent, dim=0)
-    frame = torch.stack((tangent, bitangent, normal))  # [row of the frame, xyz, H, W]
-    picture = torch.zeros(3, fine, fine, dtype=dtype)
-    # Only what is seen is shaded: a row of visible pixels is a picture of height 1.
-    seen = uv[:, inside][:, None]
-    view = frame[:, 2][:, inside][:, None]
-    for light in lights:
-        local = torch.einsum("ij...,j->i...", frame, light)[:, inside][:, None]
-        picture[:, inside] += material.shade_at(seen, local, view)[:, 0]
-    return functional.avg_pool2d(picture[None], _SUPERSAMPLING)[0]

@@ -15,6 +15,7 @@ from torchmat.brdf.load import SUFFIXES
 from torchmat.btf import Btf
 from torchmat.material_io import load_material
 from torchmat.material_io.folder import MANIFEST
+from torchmat.material_io.volume import is_volume
 from torchmat.report.tables import number, text_table
 
 _ALBEDO_DEG = (0, 45, 75)
@@ -22,8 +23,8 @@ _STEPS = 128  # the albedo of Lambert is then right to 2e-4
 
 
 def is_material(path: str | Path) -> bool:
-    """Return whether `path` is a material folder."""
-    return (Path(path) / MANIFEST).is_file()
+    """Return whether `path` is a material folder or a shading map's ``.3pm`` file."""
+    return (Path(path) / MANIFEST).is_file() or (is_volume(path) and Path(path).is_file())
 
 
 def is_brdf(path: str | Path) -> bool:
@@ -59,7 +60,7 @@ def describe_btf(btf: Btf) -> str:
 
 
 def describe_material(path: str | Path) -> str:
-    """Return tables of a material folder: model, options, bytes, and the range of each map."""
+    """Return tables of a material: model, options, bytes, and the range of each map."""
     material = load_material(path)
     height, width = material.size
     facts = [
