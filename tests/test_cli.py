@@ -13,8 +13,10 @@ import torch
 from support import all_pairs, assert_close, hemisphere, plausible_images
 
 from torchmat import load_material
+from torchmat.brdf import AnalyticBrdf, tabulate, write_merl
 from torchmat.cli import main
 from torchmat.images import read_image, write_image
+from torchmat.models.sphere_images import paper_turn
 
 ROOT = Path(__file__).resolve().parents[1]
 LIGHT, VIEW = all_pairs(hemisphere(), hemisphere(((0, 1), (60, 3))))
@@ -291,3 +293,22 @@ def test_the_scripts_are_the_commands(data, tmp_path):
         timeout=60,
     )
     assert done.returncode == 2 and done.stderr.startswith("error: nowhere.toml")
+
+
+def test_create_makes_sphere_images_of_a_brdf_and_of_photographs(tmp_path, capsys):
+    write_merl(tmp_path / "paint.binary", tabulate(AnalyticBrdf("ggx", diffuse=0.3, roughness=0.5), (20, 10, 20)))
+    arguments = ("--angles-deg", 0, 60, 120, "--picture-size", 16)
+    assert run("create", tmp_path / "paint.binary", "--out", tmp_path / "fitted", *arguments) == 0
+    assert "error_at_fitted_lights" in capsys.readouterr().out
+    assert run("create", tmp_path / "paint.binary", "--out", tmp_path / "paper", *arguments, "--paper", "--storage", "float") == 0
+    fitted, paper = load_material(tmp_path / "fitted"), load_material(tmp_path / "paper")
+    assert fitted.storage == "half" and fitted.maps["images"].shape == paper.maps["images"].shape == (9, 16, 16)
+    assert paper.options["angles_deg"] == [0, 60, 120] and torch.equal(paper.maps["turn"], paper_turn())
+    spheres = tmp_path / "spheres"
+    spheres.mkdir()
+    for number, part in enumerate(paper.maps["images"].detach().split(3)):
+        write_image(spheres / f"{number}.exr", part.permute(1, 2, 0).numpy())
+    assert run("create", spheres, "--out", tmp_path / "taken", *arguments, "--circle", 8, 8, 8) == 0
+    taken = load_material(tmp_path / "taken").maps["images"][:, 4:12, 4:12].detach()
+    assert_close(taken, paper.maps["images"][:, 4:12, 4:12].detach(), 0.05)
+    refused(capsys, "ascend from 0", "create", spheres, "--out", tmp_path / "x", "--angles-deg", 10, 5, "--circle", 8, 8, 8)

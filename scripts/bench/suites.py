@@ -10,7 +10,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import objects
 import reliefs
+import shading_maps
+import spheres
 import torch
 from measure import SHARED, in_fresh_process, median_of, timed
 
@@ -246,4 +249,7 @@ def large() -> list[dict[str, Any]]:
 SUITES = {
     "accuracy": accuracy, "pipeline": pipeline, "start_up": start_up, "loading": loading, "shading": shading, "large": large,
     "geometry": reliefs.geometry, "relief": reliefs.relief, "distribution": reliefs.distribution,
+    "shading_maps": shading_maps.shading_maps,
+    "objects": objects.objects,
+    "sphere_images": spheres.sphere_images, "sphere_sizes": spheres.sphere_sizes, "sphere_shading": spheres.sphere_shading,
 }

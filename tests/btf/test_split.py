@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import pytest
 import torch
+from support import shared_path
 
-from torchmat import Btf, RangeError, split_samples
+from torchmat import Btf, RangeError, load_btf, split_samples
 
 UP, TILTED = [0.0, 0.0, 1.0], [0.6, 0.0, 0.8]
 
@@ -77,3 +78,52 @@ def test_share_out_of_range(small_btf, share):
 def test_unknown_way(small_btf):
     with pytest.raises(RangeError, match="Did you mean 'light'"):
         split_samples(small_btf, 0.2, "lights")
+
+
+def polar_directions(*angles_deg: tuple[float, float]) -> torch.Tensor:
+    polar, azimuth = torch.deg2rad(torch.tensor(angles_deg, dtype=torch.float64)).T
+    return torch.stack((polar.sin() * azimuth.cos(), polar.sin() * azimuth.sin(), polar.cos()), dim=1).float()
+
+
+def arc_of(lights, views) -> list[int]:
+    btf = Btf.from_tensors(torch.ones(len(lights), 3, 1, 1), polar_directions(*lights), polar_directions(*views))
+    split = split_samples(btf, 0.2, "arc")
+    assert torch.equal(torch.cat(split).sort().values, torch.arange(len(lights)))
+    return split.train.tolist()
+
+
+def test_the_arc_is_lights_at_azimuth_0():
+    lights = [(0, 0), (15, 0), (30, 60), (45, 359.5), (60, 0.8), (60, 1.5), (75, 180), (0.5, 90), (5, 90), (89, 0)]
+    assert arc_of(lights, [(0, 0)] * 10) == [0, 1, 3, 4, 7, 9]
+
+
+def test_the_arc_is_seen_along_the_normal():
+    assert arc_of([(15, 0)] * 5, [(0, 0), (4, 70), (6, 0), (60, 180), (4.9, 180)]) == [0, 1, 4]
+
+
+def test_lights_below_the_surface_are_on_no_arc():
+    assert arc_of([(15, 0), (95, 0), (30, 0)], [(0, 0)] * 3) == [0, 2]
+
+
+def test_neither_share_nor_seed_change_the_arc_but_0_holds_nothing_out():
+    lights = [(15, 0), (30, 0), (30, 90), (45, 120)]
+    btf = Btf.from_tensors(torch.ones(4, 3, 1, 1), polar_directions(*lights), polar_directions(*[(0, 0)] * 4))
+    for share, seed in ((0.2, 0), (0.9, 3), (1e-9, 1)):
+        assert split_samples(btf, share, "arc", seed).train.tolist() == [0, 1]
+    assert split_samples(btf, 0.0, "arc").train.tolist() == [0, 1, 2, 3]
+
+
+def test_data_without_an_arc(small_btf):
+    lights = [(15, 0), (30, 90), (45, 180)]
+    btf = Btf.from_tensors(torch.ones(3, 3, 1, 1), polar_directions(*lights), polar_directions(*[(0, 0)] * 3))
+    with pytest.raises(RangeError, match="at least two samples on the arc; 1 of 3 samples are on it.*azimuth 0"):
+        split_samples(btf, 0.2, "arc")
+    with pytest.raises(RangeError, match="share must lie"):
+        split_samples(small_btf, 1.5, "arc")
+
+
+def test_the_real_wallpapers_arc():
+    btf = load_btf(shared_path("real/ubo2003_wallpaper"))
+    split = split_samples(btf, by="arc")
+    assert len(split.held_out) == 75
+    assert all("pl000" in btf.source.files[k] for k in split.train) and len(split.train) == 6

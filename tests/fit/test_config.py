@@ -70,4 +70,4 @@ def test_a_missing_file_is_named(tmp_path):
 
 @pytest.mark.parametrize("model", FITTERS)
 def test_every_default_is_of_a_kind_that_can_be_checked(model):
-    assert all(type(value) in (int, float, str) for value in default_options(model).values())
+    assert all(type(value) in (bool, int, float, str) for value in default_options(model).values())

@@ -25,10 +25,10 @@ OPTIONS = {
 }
 # Gain in dB on held-out samples over the flat fit. Measured: texture 2.9 (it has no normals), lambert 15.4, ptm 15.7,
 # lptm 15.7, hsh 16.2, phong_srf 3.6, pca 4.3 and local_pca 3.7 (90 samples are few for tables over directions),
-# distribution 14.6 after 100 steps.
+# distribution 14.6 after 100 steps, sphere_images 2.7 (no normals either).
 GAIN = {
     "texture": 2.3, "lambert": 14, "ptm": 14, "lptm": 14, "hsh": 14, "phong_srf": 3, "pca": 3.5, "local_pca": 3,
-    "distribution": 12,
+    "distribution": 12, "sphere_images": 2.2,
 }
 every_model = pytest.mark.parametrize("model", FITTERS)
 

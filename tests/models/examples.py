@@ -33,6 +33,11 @@ EXAMPLE_OPTIONS: dict[str, list[dict]] = {
         {"lobes": 1, "parts": ["specular_mask"]},
         {"lobes": 2, "parts": list(DISTRIBUTION_PARTS), "mask_channels": 3},
     ],
+    "shading_map": [
+        {"slices": 4, "brdf": "phong"}, {"slices": 2, "brdf": "table"},
+        {"slices": 3, "brdf": "ggx", "overflow": "scale", "azimuths": 4, "ambient_level": 0.05},
+    ],
+    "sphere_images": [{"angles_deg": [0.0, 45.0, 90.0]}, {"angles_deg": [0.0, 37.25, 75.0, 120.0, 150.0]}],
 }
 LOBES = {
     "phong": (0.4, 0.3, 0.2, 0.3, 0.2, 0.25, math.log(20.0)),
@@ -43,7 +48,7 @@ _RINGS = ((0, 1), (50, 3))  # 16 pairs: more than the 12 neighbours, and few eno
 
 
 def _said(value: object) -> str:
-    return "+".join(value) or "none" if isinstance(value, list) else str(value)
+    return "+".join(map(str, value)) or "none" if isinstance(value, list) else str(value)
 
 
 # The cases of the contract: (model name, options) of every registered model.
@@ -93,6 +98,19 @@ def _table(name: str, options: dict, spec: MapSpec) -> torch.Tensor:
     if (name, spec.name) == ("distribution", "tilt"):
         # Not the default, and off both ends of its range, where differences could not be taken.
         return 0.05 + 0.85 * default_tilt(torch.float64) + 0.05 * torch.rand(1, 1, 91, dtype=torch.float64)
+    if (name, spec.name) == ("shading_map", "lobe"):
+        last = math.log({"phong": 20.0, "ggx": 0.3}[options["brdf"]])
+        return torch.tensor((0.4, 0.3, 0.2, 0.03, 0.02, 0.04, last), dtype=torch.float64)
+    if (name, spec.name) == ("shading_map", "brightest"):
+        return torch.tensor([0.45], dtype=torch.float64)
+    if (name, spec.name) == ("shading_map", "reflectance"):
+        return 0.05 + 0.1 * torch.rand(1, 2, 36, dtype=torch.float64)
+    if (name, spec.name) == ("sphere_images", "images"):
+        return 0.4 * torch.rand(spec.channels, 6, 6, dtype=torch.float64)
+    if (name, spec.name) == ("sphere_images", "turn"):
+        # The paper's one curve with few pictures; with more, one for either side of each interval.
+        count = len(options["angles_deg"])
+        return torch.rand(1, 1 if count < 4 else 2 * (count - 1), 3 if count < 4 else 5, dtype=torch.float64)
     pytest.fail(f"tests/models/examples.py has no example of the shared map {spec.name!r} of model {name!r}")
 
 

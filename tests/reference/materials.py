@@ -3,6 +3,7 @@
 import math
 
 import numpy as np
+from reference import brdf as reference_brdf
 from reference.bases import BASES, half_vector
 from reference.interpolate import plane_value
 from reference.lobes import LOBES
@@ -129,9 +130,81 @@ def _distribution(maps, options, light, view, row, column):
     return [diffuse[c] + share * colour[c] * mask[c if len(mask) == 3 else 0] for c in range(3)]
 
 
+def _cross(one, other):
+    return [one[(k + 1) % 3] * other[(k + 2) % 3] - one[(k + 2) % 3] * other[(k + 1) % 3] for k in range(3)]
+
+
+def _on_curve(curve, place):
+    """Return a table over [-1, 1] at a place: linear between its samples."""
+    if len(curve) == 1:
+        return curve[0]
+    position = (min(max(place, -1.0), 1.0) + 1) / 2 * (len(curve) - 1)
+    below = min(int(position), len(curve) - 2)
+    return curve[below] * (1 - position + below) + curve[below + 1] * (position - below)
+
+
+def _sphere_look_up(image, normal, turn):
+    """Return a picture [3, S, S] at a normal turned about Y, its z at least 0, shortened by 0.995."""
+    x, y = normal[0] * math.cos(turn) + normal[2] * math.sin(turn), normal[1]
+    if -normal[0] * math.sin(turn) + normal[2] * math.cos(turn) < 0:
+        length = math.hypot(x, y)
+        x, y = x / length, y / length
+    return [_on_parabolic_map(plane, 0.995 * x, 0.995 * y) for plane in image]
+
+
+def _sphere_images(maps, options, light, view, row, column):
+    """Mihalik & Durikovic, eq. 4, in a frame made by hand: Z the view, the light in the half plane Y = 0, X > 0."""
+    angles = [math.radians(a) for a in options["angles_deg"]]
+    across = _cross(view, light)  # along Y
+    sine = math.sqrt(_dot(across, across))
+    phi = math.atan2(sine, _dot(light, view))
+    y_axis = [a / sine for a in across]
+    x_axis = _cross(y_axis, view)
+    normal = [x_axis[2], y_axis[2], view[2]]
+    images = maps["images"].reshape(len(angles), 3, *maps["images"].shape[1:])
+    tint = maps["tint"][:, row, column]
+    if phi >= angles[-1]:
+        colour = _sphere_look_up(images[-1], normal, 0.75 * (angles[-1] - phi))
+        return [a * b for a, b in zip(colour, tint, strict=True)]
+    j = max(k for k in range(len(angles)) if angles[k] <= phi)
+    half = [math.sin(phi / 2), math.cos(phi / 2)]
+    place = (normal[0] * half[1] - normal[2] * half[0]) / math.hypot(normal[0], normal[2])
+    turn = maps["turn"][0]
+    k_lower, k_upper = (_on_curve(turn[0 if len(turn) == 1 else 2 * j + side], place) for side in (0, 1))
+    lower = _sphere_look_up(images[j], normal, k_lower * (angles[j] - phi))
+    upper = _sphere_look_up(images[j + 1], normal, k_upper * (angles[j + 1] - phi))
+    t = (phi - angles[j]) / (angles[j + 1] - angles[j])
+    return [(a * (1 - t) + b * t) * c for a, b, c in zip(lower, upper, tint, strict=True)]
+
+
+def _shading_map(maps, options, light, view, row, column):
+    """GPU Gems 2, ch. 11: the stack at r / a_max (N - 1); then sectors of the light's azimuth, which are ours."""
+    name, count, azimuths = options.get("brdf", "phong"), options.get("slices", 8), options.get("azimuths", 1)
+    if name == "table":
+        table = maps["reflectance"].reshape(1, maps["reflectance"].shape[1], -1, 36)
+        r = math.pi * light[2] * reference_brdf.merl_linear(table, light, view)[0]
+    else:
+        r = sum(reference_brdf.value(name, maps["lobe"], light, view)) / 3
+    r, brightest = max(0.0, r) + options.get("ambient_level", 0.0), maps["brightest"][0]
+    place = min(r / brightest, 1.0) * (count - 1)
+    gain = max(r / brightest, 1.0) if options.get("overflow") == "scale" else 1.0
+    sine, turn = math.hypot(light[0], light[1]), math.atan2(light[1], light[0]) / (2 * math.pi) * azimuths
+    found = [0.0, 0.0, 0.0]
+    for sector in range(azimuths):
+        apart = (turn - sector) % azimuths
+        near = max(0.0, 1 - min(apart, azimuths - apart))
+        share = 1.0 if azimuths == 1 else (1 - sine) / azimuths + sine * near
+        for layer in range(count):
+            weight = gain * share * max(0.0, 1 - abs(place - layer))
+            for c in range(3):
+                found[c] += weight * maps["slices"][3 * (sector * count + layer) + c, row, column]
+    return found
+
+
 VALUES = {
     "texture": _texture, "lambert": _lambert, "ptm": _ptm, "lptm": _lptm, "hsh": _hsh, "phong_srf": _phong_srf,
     "pca": _pca, "local_pca": _local_pca, "distribution": _distribution,
+    "sphere_images": _sphere_images, "shading_map": _shading_map,
 }
 
 

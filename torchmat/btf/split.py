@@ -1,4 +1,4 @@
-"""Which samples a fit never sees: by pair, by light or by view, from a seed."""
+"""Which samples a fit never sees: by pair, by light or by view, from a seed; or all but one arc of lights."""
 
 from __future__ import annotations
 
@@ -7,10 +7,13 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from torchmat import frames
 from torchmat.btf.btf import Btf
 from torchmat.errors import RangeError, check_option, message
 
-HOLDOUT_WAYS = ("pair", "light", "view")
+ARC = "arc"
+HOLDOUT_WAYS = ("pair", "light", "view", ARC)
+_ARC_VIEW_DEG, _ARC_LIGHT_DEG = 5.0, 1.0
 
 
 class Split(NamedTuple):
@@ -32,11 +35,30 @@ def _pairs(btf: Btf) -> Tensor:
     return first.argsort().argsort()[inverse]
 
 
+def _arc(btf: Btf) -> Split:
+    """Return the samples seen along the normal with the light at azimuth 0, and all others.
+
+    The view lies within 5 degrees of the normal, the light within 1 degree of azimuth 0, or of the normal itself, where
+    it has none; below the horizon it is on no arc.
+    """
+    polar, azimuth = (torch.rad2deg(angle) for angle in frames.to_polar(btf.light.double()))
+    seen = torch.rad2deg(frames.to_polar(btf.view.double())[0]) <= _ARC_VIEW_DEG
+    near = (torch.minimum(azimuth, 360 - azimuth) <= _ARC_LIGHT_DEG) | (polar <= _ARC_LIGHT_DEG)
+    chosen = seen & near & (btf.light[:, 2] > 0)
+    if int(chosen.sum()) < 2:
+        fact = f"{int(chosen.sum())} of {len(btf)} samples are on it"
+        step = "An arc has its view along the normal and its lights at azimuth 0; hold out in another way."
+        raise RangeError(message("split_samples", "the data", "have at least two samples on the arc", fact, step))
+    return Split(chosen.nonzero()[:, 0], (~chosen).nonzero()[:, 0])
+
+
 def split_samples(btf: Btf, share: float = 0.2, by: str = "pair", seed: int = 0) -> Split:
     """Hold out `share` of the pairs, of the lights or of the views (`by`), chosen by `seed`.
 
     By light, every image under a held-out light is held out; by view alike. At least one group is held out and at
-    least one kept; `share` 0 holds out nothing. Raises RangeError when the data has only one such group.
+    least one kept; `share` 0 holds out nothing. "arc" keeps what a shading map is photographed from, one view along the
+    normal under lights at azimuth 0, and holds out everything else, whatever `share` and `seed`, unless it is 0. Raises
+    RangeError when the data has only one such group, or fewer than two samples on the arc.
     """
     where = "split_samples"
     check_option(where, "by", by, HOLDOUT_WAYS)
@@ -46,6 +68,8 @@ def split_samples(btf: Btf, share: float = 0.2, by: str = "pair", seed: int = 0)
     everything = torch.arange(len(btf))
     if share == 0:
         return Split(everything, everything[:0])
+    if by == ARC:
+        return _arc(btf)
     group = {"pair": _pairs, "light": lambda data: data.light_index, "view": lambda data: data.view_index}[by](btf)
     count = int(group.max()) + 1
     if count < 2:

@@ -11,16 +11,19 @@ import tyro
 
 @dataclass
 class Create:
-    """Make a material without a BTF: of one evenly lit picture, or of a folder of PBR textures (ambientCG's names)."""
+    """Make a material without a BTF: of one evenly lit picture, of a folder of PBR textures (ambientCG's names), of a
+    measured BRDF, or of photographs of a sphere."""
 
     path: Annotated[str, tyro.conf.Positional]
-    """A picture, or a folder of textures: *_Color, *_Displacement, *_NormalGL, *_Roughness ..."""
+    """A picture; a folder of textures: *_Color, *_Displacement, *_NormalGL, *_Roughness ...; a .binary or .bsdf file; or,
+    with --circle, a folder of photographs of a sphere."""
     out: Path = Path("out")
     """Folder to write; an earlier material there is replaced."""
     height_scale: float | None = None
     """Height of white in texture widths, 0 for a flat surface (default: 0.05; of textures, as their normals say)."""
-    storage: str = "png8"
-    """How textures are stored: png8, png16, tiff8, tiff16, half or float."""
+    storage: str | None = None
+    """How textures are stored: png8, png16, tiff8, tiff16, half or float (default: png8; half of a BRDF or sphere, whose
+    highlights outshine the rest by far)."""
     no_pictures: bool = False
     """Write the material only."""
     specular: list[str] = field(default_factory=lambda: ["glossy"])
@@ -47,13 +50,21 @@ class Create:
     """Textures only: how many specular maps stand for all roughnesses."""
     occlusion: bool = False
     """Textures only: multiply the diffuse part by the occlusion texture."""
+    angles_deg: tuple[float, ...] = (0.0, 45.0, 90.0, 135.0)
+    """BRDF and sphere only: angles between light and view of the sphere pictures."""
+    picture_size: int = 256
+    """BRDF and sphere only: texels across a sphere picture."""
+    paper: bool = False
+    """BRDF only: render the pictures at those angles and keep the paper's k, instead of fitting all of them."""
+    circle: tuple[float, float, float] | None = None
+    """Sphere only: its centre (column, row) and radius in pixels."""
 
     def run(self) -> None:
         from torchmat.material_io import check_target, save_material
         from torchmat.report.maps import hemisphere_picture, maps_picture
 
         check_target(self.out)  # before the work, not after it
-        material = self._from_textures() if Path(self.path).is_dir() else self._from_picture()
+        material = self._make()
 
         def draw(building: Path) -> None:
             if not self.no_pictures:
@@ -64,6 +75,37 @@ class Create:
         for path in sorted(folder.iterdir()):
             print(f"material   {path}")
 
+    def _make(self):
+        from torchmat.report.describe import is_brdf
+
+        if is_brdf(self.path):
+            return self._from_brdf()
+        if not Path(self.path).is_dir():
+            return self._from_picture()
+        return self._from_textures() if self.circle is None else self._from_sphere()
+
+    def _from_brdf(self):
+        from torchmat import load_brdf
+        from torchmat.fit.sphere_images import fit_sphere_images
+        from torchmat.models import SphereImages
+
+        brdf = load_brdf(self.path)
+        if self.paper:
+            return SphereImages.from_brdf(brdf, self.angles_deg, self.picture_size, storage=self.storage or "half")
+        fitted = fit_sphere_images(brdf, self.angles_deg, self.picture_size, storage=self.storage or "half")
+        print("; ".join(f"{key}: {value}" for key, value in fitted.figures.items()))
+        return fitted.material
+
+    def _from_sphere(self):
+        from torchmat.btf.photographs import read_photographs
+        from torchmat.create.from_sphere import sphere_images_from_photographs
+
+        photographs = read_photographs(self.path, self.encoding)
+        return sphere_images_from_photographs(
+            photographs, self.angles_deg, self.circle[:2], self.circle[2], size=self.picture_size,
+            storage=self.storage or "half",
+        )
+
     def _from_textures(self):
         from torchmat.create import material_from_textures
         from torchmat.create.textures import find_textures
@@ -71,7 +113,8 @@ class Create:
         for name in find_textures(self.path).ignored:
             print(f"ignored    {name}")
         return material_from_textures(
-            self.path, lobes=self.lobes, height_scale=self.height_scale, occlusion=self.occlusion, storage=self.storage
+            self.path, lobes=self.lobes, height_scale=self.height_scale, occlusion=self.occlusion,
+            storage=self.storage or "png8",
         )
 
     def _from_picture(self):
@@ -86,6 +129,6 @@ class Create:
             read_linear(self.path, self.encoding), lobes=len(self.specular), specular=self.specular,
             mask_brightness=self.mask[0], mask_contrast=self.mask[1], fresnel_brightness=self.fresnel[0],
             fresnel_contrast=self.fresnel[1], darken=self.darken, softness=self.softness,
-            rotation_centres=self.centre, tilt=self.tilt, tiles=self.tiles, storage=self.storage, seed=self.seed,
-            **scale,
+            rotation_centres=self.centre, tilt=self.tilt, tiles=self.tiles, storage=self.storage or "png8",
+            seed=self.seed, **scale,
         )

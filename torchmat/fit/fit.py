@@ -62,8 +62,8 @@ def fit(
     """Fit a material to `btf` and measure it on samples that it never saw.
 
     `model` is a name, a FitConfig, or the path of a TOML config. `holdout` is the share of samples held out (0.2),
-    `holdout_by` "pair", "light" or "view"; both, `seed` (0), `geometry`, `tiles` and the model's `options` (named as in
-    the README) override the config's. `geometry` "flat" (the default) takes texels for what they seem; "recover" finds
+    `holdout_by` "pair", "light", "view" or "arc" (`split_samples`); both, `seed` (0), `geometry`, `tiles` and the model's
+    `options` (named as in the README) override the config's. `geometry` "flat" (the default) takes texels for what they seem; "recover" finds
     height and normals from the training samples and puts the model on that relief, with parallax, shadow and ambient
     light, if that makes it better; a height map [1, H, W] in texture widths over the plane of the images is taken as
     it is. `tiles` False says that the surface does not repeat at its borders (True). `dtype` float64 runs the same code

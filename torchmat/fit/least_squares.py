@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from torchmat.btf.btf import Btf
-from torchmat.fit.repeatable import add_product, one_thread, product
+from torchmat.fit.repeatable import add_product, one_thread, product, wide_product
 
 _TEXELS = 16384  # solved at a time: their normal matrices are the largest tensors
 _DETERMINED = 1e-6  # share of the full design's information in a direction, below which a texel has none
@@ -172,7 +172,7 @@ def solve_texels(
     dtype = moments.product.dtype
     shared = product(design.basis.T, explained)  # [rank, 3]
     target = moments.product - shared[:, :, None, None].to(dtype)
-    coefficients = torch.einsum("kr,rchw->kchw", design.to_coefficients.to(dtype), target)
+    coefficients = wide_product(design.to_coefficients.to(dtype), target.flatten(1)).unflatten(1, target.shape[1:])
     coverage = torch.full((1, btf.height, btf.width), design.rank / design.terms)
     deficit = stream_deficit(btf, design, used, explained)
     if deficit is not None:

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
 
 from torchmat.errors import FitError, RangeError, check_option, message
 from torchmat.fit.least_squares import Moments, solve_texels, stream_means, stream_moments
-from torchmat.fit.levenberg_marquardt import CONVERGED, Solution, levenberg_marquardt
+from torchmat.fit.levenberg_marquardt import CONVERGED, Solution
 from torchmat.fit.linear import design_of
+from torchmat.fit.lobe import LobeProblem, fit_lobe
 from torchmat.fit.training import Fitted, Training
 from torchmat.metrics import relative
 from torchmat.models import PhongSrf
@@ -21,7 +21,6 @@ from torchmat.models.phong_srf import RESIDUALS
 
 PHONG_WAYS = ("mean_brdf", "per_light")
 _FEWEST_VIEWS = 3  # per light: seven parameters from nine numbers
-_BRIGHTEST = 4.0
 _OUTLYING, _TRIMMED = 100.0, 50  # so many times brighter than the mean of all but one in 50
 
 
@@ -95,58 +94,9 @@ def _fit_lobe(training: Training, means: Tensor, lobe: Lobe) -> dict[str, tuple[
     """Return (parameters, stop reason) for each way that the data allows."""
     used = training.used
     light, view, values = training.light[used].double(), training.view[used].double(), means[used]
-    found = {"mean_brdf": _mean_brdf(lobe, light, view, values)}
+    found = {"mean_brdf": fit_lobe(lobe, light, view, values)}
     per_light = _per_light(lobe, training, light, view, values, found["mean_brdf"][0])
     return found if per_light is None else found | {"per_light": per_light}
-
-
-class _Problem(NamedTuple):
-    """Lobe against means: `light`, `view` [..., m, 3, 1, 1], `values` [..., m, 3], `weight` [..., m, 1]."""
-
-    lobe: Lobe
-    light: Tensor
-    view: Tensor
-    values: Tensor
-    weight: Tensor
-
-    def residual(self, parameters: Tensor) -> Tensor:
-        predicted = self.lobe.evaluate(parameters[:, None], self.light, self.view)[..., 0, 0]
-        return ((predicted - self.values) * self.weight).flatten(1)
-
-    def jacobian(self, parameters: Tensor) -> Tensor:
-        rows = self.lobe.jacobian(parameters[:, None], self.light, self.view)
-        return (rows * self.weight[..., None]).flatten(1, 2)
-
-    def solve(self, start: Tensor, **settings: Any) -> Solution:
-        low, high = _limits(self.lobe, self.values)
-        start = torch.minimum(torch.maximum(start, low), high)
-        jacobian = None if self.lobe.jacobian is None else self.jacobian
-        return levenberg_marquardt(self.residual, start, low, high, jacobian=jacobian, **settings)
-
-
-def _limits(lobe: Lobe, values: Tensor) -> tuple[Tensor, Tensor]:
-    """Return the lobe's bounds, colours bounded by a few times the brightest value.
-
-    A narrow lobe between two samples can have any peak; without a bound one such light decides a whole average.
-    """
-    low, high = torch.tensor(lobe.low, dtype=torch.float64), torch.tensor(lobe.high, dtype=torch.float64)
-    brightest = values.max().clamp(min=1e-12) * _BRIGHTEST
-    return low, torch.cat((torch.minimum(high[:6], brightest), high[6:]))
-
-
-def _scaled_starts(lobe: Lobe, values: Tensor) -> Tensor:
-    """Return the lobe's starting points with their colours brought to the data's brightness."""
-    starts = torch.tensor(lobe.starts, dtype=torch.float64)
-    starts[:, :6] *= values.mean().clamp(min=1e-12) / 0.3
-    return starts
-
-
-def _mean_brdf(lobe: Lobe, light: Tensor, view: Tensor, values: Tensor) -> tuple[Tensor, str]:
-    """Fit from every start for a few steps, then carry the best through."""
-    problem = _Problem(lobe, light, view, values, torch.ones(1, 1, dtype=values.dtype))
-    explored = problem.solve(_scaled_starts(lobe, values), max_steps=6)
-    solution = problem.solve(explored.parameters[explored.cost.argmin()][None])
-    return solution.parameters[0], solution.reasons[0]
 
 
 def _per_light(
@@ -161,7 +111,7 @@ def _per_light(
     # Problems of one batch have one length: short ones repeat their first sample with weight 0.
     index = torch.stack([torch.cat((part, part[:1].expand(longest - len(part)))) for part in rows])
     weight = torch.stack([(torch.arange(longest) < len(part)).double() for part in rows])[:, :, None]
-    problem = _Problem(lobe, light[index], view[index], values[index], weight)
+    problem = LobeProblem(lobe, light[index], view[index], values[index], weight)
     solution = problem.solve(start[None].repeat(len(rows), 1), max_steps=40, tolerance=1e-6)
     return _average(lobe, solution.parameters), _overall(solution)
 

@@ -10,6 +10,8 @@ from torchmat.fit.distribution import fit_distribution
 from torchmat.fit.linear import fit_hsh, fit_lambert, fit_lptm, fit_ptm, fit_texture
 from torchmat.fit.pca import fit_local_pca, fit_pca
 from torchmat.fit.phong_srf import fit_phong_srf
+from torchmat.fit.shading_map import fit_shading_map
+from torchmat.fit.sphere_btf import fit_sphere_images_to_btf
 from torchmat.fit.training import Fitted
 
 FITTERS: dict[str, Callable[..., Fitted]] = {
@@ -22,6 +24,8 @@ FITTERS: dict[str, Callable[..., Fitted]] = {
     "pca": fit_pca,
     "local_pca": fit_local_pca,
     "distribution": fit_distribution,
+    "shading_map": fit_shading_map,
+    "sphere_images": fit_sphere_images_to_btf,
 }
 
 
@@ -45,5 +49,5 @@ def _check_kind(where: str, name: str, value: object, kind: type) -> None:
     """Raise RangeError unless `value` is of the default's kind; whole numbers serve as numbers, booleans do not."""
     accepted = (int, float) if kind is float else kind
     if not isinstance(value, accepted) or (isinstance(value, bool) and kind is not bool):
-        names = {int: "a whole number", float: "a number", str: "a text"}
+        names = {int: "a whole number", float: "a number", str: "a text", bool: "true or false"}
         raise RangeError(message(where, name, f"be {names.get(kind, kind.__name__)}", f"it is {value!r}"))

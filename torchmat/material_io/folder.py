@@ -20,8 +20,9 @@ from torchmat import atomic
 from torchmat.errors import DataError, TorchmatError, check_finite, check_option, message
 from torchmat.images import read_image, write_image
 from torchmat.machine import package_version
+from torchmat.material_io.volume import is_volume, read_volume, write_volume
 from torchmat.models import MATERIALS, Material
-from torchmat.models.storage import STORAGES, Codes, MapSpec, decode, encode
+from torchmat.models.storage import STORAGES, Codes, MapSpec, check_map, decode, encode
 
 FORMAT = "torchmat-material"
 VERSION = 1
@@ -66,7 +67,10 @@ def write_material(material: Material, folder: Path, provenance: dict[str, Any] 
         suffix = ".png" if spec.index else STORAGES[storage].suffix
         write_image(folder / f"{name}{suffix}", codes.pixels)
         textures.append(_texture_entry(spec, f"{name}{suffix}", codes))
-    constants = {spec.name: material.maps[spec.name].tolist() for spec in material.specs() if spec.constant}
+    numbers = [spec for spec in material.specs() if spec.constant]
+    for spec in numbers:
+        check_map("export", spec, material.maps[spec.name])
+    constants = {spec.name: material.maps[spec.name].tolist() for spec in numbers}
     height, width = material.size
     manifest = {
         "format": FORMAT, "version": VERSION, "written_by": f"torchmat {package_version()}",
@@ -104,11 +108,14 @@ def save_material(
 ) -> Path:
     """Write `material` as a folder that appears whole or not at all; return its path.
 
-    A material that stands there is replaced in one step; a folder that holds anything else is refused, so that no
-    file of the user's is lost. `companions` may write more (report, pictures) into the folder before it appears.
+    A path that ends in ``.3pm`` gets the slices of a shading map, and nothing else (`write_volume`). A material that
+    stands there is replaced in one step; a folder that holds anything else is refused, so that no file of the user's is
+    lost. `companions` may write more (report, pictures) into the folder before it appears.
     Raises DataError when the folder cannot be written, RangeError when a map cannot be stored.
     """
     target = Path(folder)
+    if is_volume(target):
+        return write_volume(material, target)
     check_target(target)
     with atomic.building(target) as building:
         manifest = write_material(material, building, provenance)
@@ -187,11 +194,13 @@ def _culprit(folder: Path, manifest: dict[str, Any], error: TorchmatError) -> st
 
 
 def load_material(path: str | Path) -> Material:
-    """Return the material of a folder, exactly as its textures hold it.
+    """Return the material of a folder, exactly as its textures hold it, or of a ``.3pm`` file (`read_volume`).
 
     Textures may have been painted over, in 8 or 16 bits. Raises DataError, naming the file, when a texture is
     missing, has another size or leaves its range, or when the manifest's version is unknown.
     """
+    if is_volume(path):
+        return read_volume(path)
     folder = Path(path)
     manifest = read_manifest(folder)
     where = folder / MANIFEST

@@ -7,12 +7,15 @@ from torchmat.models.edit import add_part, drop_part, replace_map
 from torchmat.models.linear import Hsh, Lambert, Lptm, Ptm, Texture
 from torchmat.models.pca import LocalPca, Pca
 from torchmat.models.phong_srf import PhongSrf
+from torchmat.models.shading_map import ShadingMap
+from torchmat.models.sphere_images import SphereImages
 
 MATERIALS: dict[str, type[Material]] = {
-    model.name: model for model in (Texture, Lambert, Ptm, Lptm, Hsh, PhongSrf, Pca, LocalPca, Distribution)
+    model.name: model
+    for model in (Texture, Lambert, Ptm, Lptm, Hsh, PhongSrf, Pca, LocalPca, Distribution, ShadingMap, SphereImages)
 }
 
 __all__ = [
-    "MATERIALS", "Distribution", "Hsh", "Lambert", "LocalPca", "Lptm", "Material", "Pca", "PhongSrf", "Ptm", "Texture",
-    "add_part", "blend", "drop_part", "replace_map",
+    "MATERIALS", "Distribution", "Hsh", "Lambert", "LocalPca", "Lptm", "Material", "Pca", "PhongSrf", "Ptm", "ShadingMap",
+    "SphereImages", "Texture", "add_part", "blend", "drop_part", "replace_map",
 ]

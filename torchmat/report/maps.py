@@ -91,11 +91,11 @@ def _shown(spec: MapSpec, part: Tensor) -> Callable[[Any], None]:
     """Return what draws one texture [C, H, W]."""
     if spec.index:
         return _image(part[:1], cmap="tab20")
+    if spec.colour and len(part) == 3:
+        return _image(colour.display(part))
     if not spec.per_texel or len(part) != 3:
         # Tables and odd numbers of channels: plane under plane.
         return _image(part.flatten(0, 1)[None], cmap="viridis" if not spec.per_texel else "gray")
-    if spec.colour:
-        return _image(colour.display(part))
     most = 1.0 if spec.name == "normal" else max(float(part.abs().max()), 1e-12)
     return _image((part / (2 * most) + 0.5).clamp(0, 1))
 
