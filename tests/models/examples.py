@@ -102,7 +102,7 @@ def _table(name: str, options: dict, spec: MapSpec) -> torch.Tensor:
         last = math.log({"phong": 20.0, "ggx": 0.3}[options["brdf"]])
         return torch.tensor((0.4, 0.3, 0.2, 0.03, 0.02, 0.04, last), dtype=torch.float64)
     if (name, spec.name) == ("shading_map", "brightest"):
-        return torch.tensor([0.45], dtype=torch.float64)
+        return torch.tensor([0.5], dtype=torch.float64)
     if (name, spec.name) == ("shading_map", "reflectance"):
         return 0.05 + 0.1 * torch.rand(1, 2, 36, dtype=torch.float64)
     if (name, spec.name) == ("sphere_images", "images"):

@@ -15,9 +15,9 @@ import torch
 import torch.nn.functional as functional
 from torch import Tensor
 
-from torchmat.fit.repeatable import one_thread, orthonormal, product
 from torchmat.fit.training import Training
 from torchmat.geometry.relief import look_up, ray_slope, texel_centres, visible
+from torchmat.repeatable import one_thread, orthonormal, product
 
 _SAMPLES = 400  # images that are compared, evenly chosen
 _TEXELS = 96  # along the longer side; larger images are averaged down, since fine relief shows in the slopes

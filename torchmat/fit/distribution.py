@@ -18,13 +18,13 @@ from torch import Tensor
 from torchmat.errors import RangeError, check_option, message
 from torchmat.fit.distribution_maps import BLOCK_VALUES, OUTSTANDING, Parts, anisotropy, maps_of, raw_maps, sample_runs
 from torchmat.fit.refine import refine_height
-from torchmat.fit.repeatable import one_thread
 from torchmat.fit.surface import Surface, bring_onto
 from torchmat.fit.training import Fitted, Training
 from torchmat.geometry import normals_from_slopes, photometric_stereo, slopes_from_height, slopes_from_normals
 from torchmat.models import Distribution
 from torchmat.models.storage import STORAGES
 from torchmat.progress import progress
+from torchmat.repeatable import one_thread
 
 STEP_LIMIT, NOT_FINITE, DIVERGED = "step limit", "not finite", "diverged"
 AUTO = ("auto", "yes", "no")

@@ -11,11 +11,11 @@ from torch import Tensor
 
 from torchmat import colour, safe
 from torchmat.btf import Btf
-from torchmat.fit.repeatable import one_thread
 from torchmat.fit.surface import Surface
 from torchmat.fit.training import Training
 from torchmat.frames import half_vector, tangent_frame
 from torchmat.geometry import normals_from_slopes
+from torchmat.repeatable import one_thread
 
 BLOCK_VALUES = 2_000_000
 OUTSTANDING = 10  # times the usual texel: brighter ones count as that bright where one number stands for all

@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from torchmat.btf.btf import Btf
-from torchmat.fit.repeatable import add_product, one_thread, product, wide_product
+from torchmat.repeatable import add_product, one_thread, product, wide_product
 
 _TEXELS = 16384  # solved at a time: their normal matrices are the largest tensors
 _DETERMINED = 1e-6  # share of the full design's information in a direction, below which a texel has none

@@ -17,7 +17,7 @@ from torch import Tensor
 from torch.autograd import forward_ad
 
 from torchmat.errors import FitError, check_finite, message
-from torchmat.fit.repeatable import one_thread
+from torchmat.repeatable import one_thread
 
 CONVERGED, STEP_LIMIT, NOT_FINITE = "converged", "step limit", "not finite"
 

@@ -8,13 +8,13 @@ from torch import Tensor
 from torchmat import colour, safe
 from torchmat.errors import RangeError, check_option, message
 from torchmat.fit.least_squares import Design, LinearFit, Moments, make_design, solve_texels, stream_moments
-from torchmat.fit.repeatable import one_thread, product
 from torchmat.fit.surface import Surface
 from torchmat.fit.training import Fitted, Training
 from torchmat.geometry import normals_from_slopes, slopes_from_height
 from torchmat.models import Hsh, Lambert, Lptm, Ptm, Texture
 from torchmat.models.bases import BASES
 from torchmat.models.linear import HSH_TERMS, NORMALS
+from torchmat.repeatable import one_thread, product
 
 _EYE = 1.0  # of the mean value: darker samples weigh no more
 

@@ -9,10 +9,10 @@ from torch import Tensor
 
 from torchmat import safe
 from torchmat.errors import FitError, RangeError, message
-from torchmat.fit.repeatable import add_product, one_thread, orthonormal, product
 from torchmat.fit.training import Fitted, Training
 from torchmat.models import LocalPca, Pca
 from torchmat.models.angular import projected
+from torchmat.repeatable import add_product, one_thread, orthonormal, product
 
 _OVERSAMPLING = 10  # extra directions of the random projection (Halko, Martinsson, Tropp 2011)
 _POWER_STEPS = 2

@@ -20,11 +20,11 @@ from torchmat.btf import Btf
 from torchmat.errors import FitError, message
 from torchmat.fit.consistency import Agreement, Captured, agreement, capture, on_surface
 from torchmat.fit.refine import image_gradient, limited
-from torchmat.fit.repeatable import one_thread, product
 from torchmat.fit.training import Training, make_training
 from torchmat.geometry import Relief, poisson, relief_from_photographs, slopes_from_normals
 from torchmat.geometry.normals import pad_border
 from torchmat.progress import progress
+from torchmat.repeatable import one_thread, product
 
 _FLATTEST_DEG = 45  # the view of photometric stereo may lean no further: texels of other views are not where it sees them
 _FEWEST_VIEWS, _FEWEST_SAMPLES = 6, 24  # below, there is no parallax to speak of

@@ -7,11 +7,11 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
-from torchmat.fit.repeatable import one_thread
 from torchmat.fit.surface import Surface
 from torchmat.geometry import poisson
 from torchmat.geometry.normals import pad_border
 from torchmat.geometry.relief import look_up, ray_slope, texel_centres
+from torchmat.repeatable import one_thread
 
 _SLOPE_ERROR, _SLOPE_SHARE = 0.03, 0.1  # fitted normals are off by so much, steep ones by so much of their slope
 _INDEPENDENT = 0.03  # of the samples of a texel: what the model cannot follow is shared by neighbouring directions

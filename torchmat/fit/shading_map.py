@@ -14,7 +14,6 @@ from torchmat.errors import FitError, check_option, message
 from torchmat.fit.least_squares import make_design, solve_texels, stream_means, stream_moments
 from torchmat.fit.levenberg_marquardt import levenberg_marquardt
 from torchmat.fit.lobe import by_differences, fit_lobe, lobe_limits
-from torchmat.fit.repeatable import one_thread, wide_product
 from torchmat.fit.training import Fitted, Training
 from torchmat.metrics import relative
 from torchmat.models import ShadingMap
@@ -22,6 +21,7 @@ from torchmat.models.shading_map import (
     OVERFLOWS, SLICES, blend_brackets, brackets, check_azimuths, check_slices, layer_place, layer_weights,
     sector_weights,
 )
+from torchmat.repeatable import one_thread, wide_product
 
 _WHERE = "fit shading_map"
 # Slices are written as slope and bends: what no sample determines goes on straight. The slope of the whole stack is

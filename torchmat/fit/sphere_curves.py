@@ -14,9 +14,9 @@ import torch
 import torch.nn.functional as functional
 from torch import Tensor
 
-from torchmat.fit.repeatable import one_thread
 from torchmat.fit.sphere_problem import LookedUp, PictureSystem, Shape, SphereProblem, dot, look_up
 from torchmat.models.sphere_geometry import find_knots
+from torchmat.repeatable import one_thread
 
 _DAMPING, _MOST_DAMPING = 1e-3, 1e3
 _BEND, _STAY = 1e-2, 1e-1  # costs of the squared second derivative, and of leaving the start by 1, over the sine

@@ -11,8 +11,8 @@ from torch import Tensor
 
 from torchmat import colour
 from torchmat.errors import RangeError, message
-from torchmat.fit.repeatable import one_thread
 from torchmat.models.sphere_geometry import directions_on
+from torchmat.repeatable import one_thread
 
 _EDGE = 0.999  # of the radius; the rest is a thousandth of the picture, seen at more than 87 degrees
 _CORE, _REACH = 0.005, 0.5  # radii about the highlight, in radii of the disc, between which points grow sparse

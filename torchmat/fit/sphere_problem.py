@@ -13,10 +13,10 @@ import torch
 import torch.nn.functional as functional
 from torch import Tensor
 
-from torchmat.fit.repeatable import one_thread
 from torchmat.models.sphere_geometry import (
     Neighbours, atlas_grid, find_look_ups, find_neighbours, find_turns, place_on_sphere, sine_to_half,
 )
+from torchmat.repeatable import one_thread
 
 _SMOOTHNESS = 1e-3  # cost of a difference between neighbouring texels, relative to what a typical texel is seen
 

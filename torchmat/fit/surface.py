@@ -16,10 +16,10 @@ from torch import Tensor
 from torchmat.btf import Btf
 from torchmat.btf.decode import Decoder
 from torchmat.btf.store import CLIPPED, INVALID, VALID, summarise
-from torchmat.fit.repeatable import one_thread
 from torchmat.fit.training import Training
 from torchmat.geometry.relief import look_up, ray_slope, soft_shadow, texel_centres, visible
 from torchmat.progress import progress
+from torchmat.repeatable import one_thread
 
 _IN_MEMORY = 1_000_000_000  # bytes of resampled images; more go to a temporary file, of which the system maps what is used
 _BLOCK = 4_000_000  # values resampled at a time

@@ -15,6 +15,7 @@ from torchmat.errors import RangeError, ShapeError, check_known_keys, check_opti
 from torchmat.geometry.relief import look_up
 from torchmat.models.relief import PARTS, shade_points, shade_texels
 from torchmat.models.storage import STORAGES, MapSpec, check_map, decode, encode
+from torchmat.repeatable import wide_product
 
 
 class Material(nn.Module):
@@ -278,7 +279,7 @@ def combine(weights: Tensor, layers: Tensor) -> Tensor:
     count, channels, height, width = layers.shape
     if weights.shape[-2:] == (1, 1):
         lead = weights.shape[:-3]
-        flat = weights.reshape(-1, count) @ layers.reshape(count, -1)
+        flat = wide_product(weights.reshape(-1, count), layers.reshape(count, -1))
         return flat.reshape(*lead, channels, height, width)
     total = weights[..., 0:1, :, :] * layers[0]
     for index in range(1, count):

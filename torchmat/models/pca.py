@@ -16,6 +16,7 @@ from torchmat.errors import RangeError, ShapeError, message
 from torchmat.models.angular import neighbour_weights, pairs
 from torchmat.models.base import Material, combine
 from torchmat.models.storage import MapSpec
+from torchmat.repeatable import wide_product
 
 
 def _positive(where: str, name: str, value: int) -> None:
@@ -111,7 +112,8 @@ class LocalPca(Material):
             known = table[:, :, number].flatten(0, 1).T  # [samples, 3 (1 + components)]
             if per_image:
                 curves = (known[index] * share[..., None]).sum(dim=1).unflatten(1, (-1, 3))
-                out[:, :, texels] = torch.einsum("ijc,jt->ict", curves, weight[:, texels])
+                flat = wide_product(curves.transpose(1, 2).flatten(0, 1), weight[:, texels])
+                out[:, :, texels] = flat.unflatten(0, (images, 3))
                 continue
             rows = (torch.arange(images)[:, None] * height * width + texels).reshape(-1)
             curves = (known[index[rows]] * share[rows, :, None]).sum(dim=1).unflatten(1, (-1, 3))

@@ -16,7 +16,9 @@ from torch import Tensor
 _ROWS = 128  # sums over no more rows than this were never split, for float32 and float64 (MKL 2024.2)
 _RUN, _FEWEST_RUNS = 2048, 4
 _NARROW = 4096  # below so many rows and columns of the result one thread is as fast as two
-_FULL = 4  # results of 5, 6, 7 or 9 rows round by the number of threads on some processors (MKL 2024.2); of 4, 8, 12 do not
+# Results of 5 or 6 rows, and of 2 or 3 in double precision, round by the number of threads on some processors; those of
+# one row, of 4, 8, 12 ... never did (MKL 2024.2, 1 to 33 rows).
+_FULL = 4
 
 
 @contextmanager
@@ -52,8 +54,8 @@ def orthonormal(matrix: Tensor) -> Tensor:
 
 
 def _full_rows(matrix: Tensor) -> Tensor:
-    """Return `matrix` [m, k] with rows of zeros up to a multiple of four."""
-    return functional.pad(matrix, (0, 0, 0, -len(matrix) % _FULL))
+    """Return `matrix` [m, k] with rows of zeros up to a multiple of four; one row stays as it is."""
+    return matrix if len(matrix) == 1 else functional.pad(matrix, (0, 0, 0, -len(matrix) % _FULL))
 
 
 def wide_product(first: Tensor, second: Tensor) -> Tensor:
@@ -71,7 +73,7 @@ def add_product(total: Tensor, left: Tensor, right: Tensor) -> None:
             total.addmm_(left.T, right)
         return
     for rows, part in zip(left.split(_ROWS), right.split(_ROWS), strict=True):
-        if len(total) % _FULL:
+        if len(total) > 1 and len(total) % _FULL:
             total += (_full_rows(rows.T) @ part)[: len(total)]
         else:
             total.addmm_(rows.T, part)

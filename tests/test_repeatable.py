@@ -6,7 +6,7 @@ import pytest
 import torch
 from support import assert_close
 
-from torchmat.fit.repeatable import add_product, one_thread, product
+from torchmat.repeatable import add_product, one_thread, product, wide_product
 
 SHAPES = [(7, 2000, 3), (3, 25000, 48), (9, 2000, 4000), (15, 600, 12288), (4, 130, 60001), (1, 5, 1)]
 
@@ -34,3 +34,28 @@ def test_an_error_gives_the_threads_back():
         assert torch.get_num_threads() == 1
         torch.ones(2, 3) @ torch.ones(2, 3)
     assert torch.get_num_threads() == before
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+@pytest.mark.parametrize("rows", [1, 2, 3, 5, 6, 7, 9, 11, 13])
+def test_wide_products_round_alike_on_any_number_of_threads(rows, dtype):
+    torch.manual_seed(rows)
+    first, second = torch.randn(rows, 100, dtype=dtype), torch.randn(100, 5555, dtype=dtype)
+    before, found = torch.get_num_threads(), []
+    try:
+        for threads in (1, 2):
+            torch.set_num_threads(threads)
+            total = torch.ones(rows, 5555, dtype=dtype)
+            add_product(total, first.T.contiguous(), second)
+            found.append((wide_product(first, second), total))
+    finally:
+        torch.set_num_threads(before)
+    assert all(torch.equal(one, two) for one, two in zip(*found, strict=True))
+    expected = (first.double() @ second.double()).to(dtype)
+    for value in (found[0][0], found[0][1] - 1):
+        assert float((value - expected).abs().max()) < (1e-4 if dtype == torch.float32 else 1e-12)
+
+
+def test_small_wide_products_are_products():
+    first, second = torch.randn(3, 4), torch.randn(4, 5)
+    assert torch.allclose(wide_product(first, second), first @ second)
