@@ -124,13 +124,18 @@ def _batched(where: str, height: Tensor, direction: Tensor, uv: Tensor | None) -
     return uv, slope, lead
 
 
+def _length(vector: Tensor) -> Tensor:
+    """Return the length [N, 1, h, w] of [N, 2, h, w]; torch's norm over so short a dimension takes ten times as long."""
+    return safe.sqrt(vector[:, :1] * vector[:, :1] + vector[:, 1:] * vector[:, 1:])
+
+
 def _walk(slope: Tensor, span: float, rows: int, columns: int) -> Iterator[Tensor]:
     """Yield the share of the way, 0 to 1, that each ray has gone after each step, [N, 1, 1 or h, 1 or w].
 
     Every ray takes steps of its own length, so that what it meets does not depend on the others of the call.
     """
     texels = slope.detach() * torch.tensor([columns, rows], dtype=slope.dtype)[:, None, None]
-    count = (texels.norm(dim=1, keepdim=True) * (span * _STEPS_PER_TEXEL)).ceil() + 2
+    count = (_length(texels) * (span * _STEPS_PER_TEXEL)).ceil() + 2
     for step in range(int(count.max()) + 1):
         yield (step / count).clamp(max=1)
 
@@ -200,7 +205,7 @@ def clearance(height: Tensor, direction: Tensor, uv: Tensor | None = None, tiles
     uv, slope, lead = _batched("clearance", height, direction, uv)
     span = float(height.detach().max() - height.detach().min())
     field = _Field(height, uv, slope, tiles, centres, span)
-    run = slope.norm(dim=1, keepdim=True).clamp(min=1e-6)  # distance along the plane for each unit of height
+    run = _length(slope).clamp(min=1e-6)  # distance along the plane for each unit of height
     start = field.along(torch.zeros_like(run))
     least = (1 / run).expand_as(start)  # what a flat surface leaves free
     shares = islice(_walk(slope, span, *height.shape[-2:]), 1, None) if span > 0 else ()
