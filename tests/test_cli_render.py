@@ -123,3 +123,20 @@ def test_other_inputs_are_shown_too(tmp_path, capsys):
 def test_a_path_that_is_nothing(tmp_path, capsys):
     assert run(tmp_path / "nowhere") == 2
     assert "nowhere" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("arguments, words", [
+    (("--mesh", "patch", "--turntable", 3), "a patch does not turn"),
+    (("--sweep", 3, "--light", 0, 0, 1), "bring its own light"),
+    (("--mesh", "cube", "a/cube.obj"), "two are called cube"),
+    (("--mesh", "cube", "--repeat", 0), "size and repeat must be positive"),
+])
+def test_arguments_that_do_not_go_together(folder, arguments, words, capsys):
+    assert run(folder, "--size", 8, *arguments) == 2
+    assert words in capsys.readouterr().err
+    assert not (folder / "pictures").exists()
+
+
+def test_a_point_light_is_for_objects(folder):
+    assert run(folder, "--size", 8, "--point", 1, 1, 3) == 0
+    assert sorted(path.name for path in (folder / "pictures").iterdir()) == ["render_sphere.png"]

@@ -187,3 +187,9 @@ def test_a_patch_that_repeats_too_often_to_be_seen_is_the_mean():
     checks = (torch.arange(8)[:, None] + torch.arange(8)).remainder(2).double().expand(3, 8, 8)
     picture = render(Texture({"albedo": checks}), "patch", [(0, 0, 1)], size=10, repeat=73)
     assert_close(picture, torch.full((3, 10, 10), 0.5, dtype=torch.float64), 1e-9)
+
+
+def test_what_cannot_be_rendered_is_named():
+    for wrong in ("my_material", 3, None):
+        with pytest.raises(RangeError, match="material must be a Material, a Brdf or a RawBtf"):
+            render(wrong)

@@ -27,7 +27,7 @@ def main() -> None:
     """Fit every model to the embedded sample and show it on the teapot, its error on unseen pairs above."""
     btf = tm.load_btf(tm.sample_path())
     mesh = as_mesh("teapot")
-    camera = Camera.framing(mesh.centre, 0.85 * mesh.radius, _VIEW, math.radians(25))
+    camera = Camera.framing(mesh.centre, 0.97 * mesh.radius, _VIEW, math.radians(25))
     visible = see(mesh, camera, (int(0.72 * _SIZE), _SIZE), 4, repeat=_REPEAT)
     shown = [("the measured images", shade_visible(RawBtf(btf), visible, _LIGHTS, shadows=True))]
     for model in MATERIALS:

@@ -66,7 +66,7 @@ def _frames(name: str, mesh: Mesh, model: str, shader: Shader, truth: Shader | N
 def objects() -> list[dict[str, Any]]:
     """Visibility of a 512 x 512 picture, and pictures per second for 1, 2, 4 and 8 lights, one ray a pixel."""
     if not _BUNNY.exists():
-        print(f"skipped: {_BUNNY} is not on this machine")
+        print(f"skipped: {_BUNNY.relative_to(SHARED)} is absent")
         return []
     start = time.perf_counter()
     meshes = {"bunny": as_mesh(_BUNNY)}

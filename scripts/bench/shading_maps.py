@@ -57,7 +57,7 @@ def shading_maps() -> list[dict[str, Any]]:
     for data, place in _SETS.items():
         path = SHARED / place
         if not path.exists():
-            print(f"skipped: {path} is not on this machine")
+            print(f"skipped: {path.name} is absent")
             continue
         btf = tm.load_btf(path)
         if data == "real wallpaper":

@@ -30,7 +30,7 @@ def _materials() -> Iterator[tuple[str, Brdf]]:
     for path in sorted(_FOLDER.glob("*.bsdf")):
         yield path.name.removesuffix("_rgb.bsdf"), load_brdf(path)
     if not _FOLDER.exists():
-        print(f"skipped: {_FOLDER} is not on this machine")
+        print(f"skipped: {_FOLDER.relative_to(SHARED)} is absent")
 
 
 class _Nearest:

@@ -64,7 +64,7 @@ def accuracy() -> list[dict[str, Any]]:
     sets["lion's head (RTI)"] = (SHARED / "real" / "loewenkopf_rti", range(3))
     for name, (path, seeds) in sets.items():
         if not path.exists():
-            print(f"skipped: {path} is not on this machine")
+            print(f"skipped: {path.name} is absent")
             continue
         btf = tm.load_btf(path)
         extra = [f"{model}{',' if ':' in model else ':'}storage=png8" for model in ("ptm", "phong_srf:residual=half_light")]

@@ -37,7 +37,7 @@ def accuracy() -> None:
 def others() -> None:
     """Print every other suite as it is."""
     for name in ("pipeline", "loading", "shading", "large", "start_up", "geometry", "relief", "distribution", "shading_maps",
-                 "sphere_images", "sphere_sizes", "sphere_shading"):
+                 "sphere_images", "sphere_sizes", "sphere_shading", "objects"):
         # Rows of one suite that measure different things stand in tables of their own.
         for _, alike in groupby(_rows(name), key=tuple):
             rows = list(alike)

@@ -283,3 +283,11 @@ def test_bad_names_and_parameters_are_refused():
         make("ggx", torch.float32).shade(planes([(0, 0, 1.0)]), planes([(0, 0, 1.0)]))
     with pytest.raises(ShapeError, match="dimension -3"):
         make("ggx").shade(torch.zeros(3, dtype=torch.float64), planes([(0, 0, 1.0)]))
+
+
+def test_numbers_of_any_kind_are_taken_and_others_named():
+    given = AnalyticBrdf("ggx", specular=np.float32(0.25), roughness=torch.tensor(0.5), diffuse=(0.5, 0.25, 0.125))
+    same = AnalyticBrdf("ggx", specular=0.25, roughness=0.5, diffuse=(0.5, 0.25, 0.125))
+    assert torch.equal(given.parameters, same.parameters)
+    with pytest.raises(RangeError, match="roughness must be numbers; it is 'x'"):
+        AnalyticBrdf("ggx", roughness="x")

@@ -295,3 +295,11 @@ def test_a_measured_brdf_gains_as_much_as_the_formulas():
     before, after = (mean(sphere_errors(m, brdf, lights, 4000)) for m in (paper, found))
     # Measured: 0.10 times.
     assert after < 0.3 * before
+
+
+@pytest.mark.parametrize("angles", [(0, 2, 90), (0, 3, 90)])
+def test_angles_that_stand_close_do_not_hold_the_fit_up(angles):
+    fitted = fit_sphere_images(GLOSSY, angles, 16, samples=5, lights=5, steps=2)
+    held = fit_sphere_images(GLOSSY, angles, 16, curves="paper", place=False, lights=5)
+    assert len(fitted.history) > 2  # a step was taken, and made it better
+    assert fitted.figures["error_at_fitted_lights"] < held.figures["error_at_fitted_lights"]

@@ -9,6 +9,7 @@ from models.examples import make
 from support import shared_path
 
 from torchmat import DataError, RangeError, load_material, save_material
+from torchmat.material_io import check_target
 from torchmat.material_io.volume import read_volume
 
 HEAD = b"VL\n#components 3\n%d %d %d\n%d\n"
@@ -202,3 +203,8 @@ def test_a_material_folder_of_that_name_is_still_a_folder(tmp_path):
     save_material(volume_map(), tmp_path / "plain")
     (tmp_path / "plain").rename(tmp_path / "odd.3pm")
     assert load_material(tmp_path / "odd.3pm").options["brdf"] == "phong"
+
+
+def test_a_fit_is_not_written_as_a_volume(tmp_path):
+    with pytest.raises(DataError, match="x.3pm: the target must be a folder"):
+        check_target(tmp_path / "x.3pm")

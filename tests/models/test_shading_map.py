@@ -190,10 +190,11 @@ def test_ambient_level_is_added_before_the_look_up():
     assert not bool(below.any())
 
 
-def test_a_brdf_below_0_counts_as_0():
-    material = lambert_map([0.0, 0.4, 1.0], 0.8, ambient_level=0.1)
-    material = material.with_maps(lobe=torch.full((3,), -0.5, dtype=torch.float64))
-    assert lit(material, 0.8) == pytest.approx(0.1)
+@pytest.mark.parametrize("lobe", [(-0.5, 0.5, 0.5, 0, 0, 0, 1), (0.5, 0.5, 0.5, 0, 0, 0, -200)])
+def test_a_brdf_beyond_its_formulas_bounds_is_refused(lobe):
+    material = make("shading_map", {"slices": 3, "brdf": "ggx", "overflow": "scale", "azimuths": 4}, 1, 2)
+    with pytest.raises(RangeError, match="diffuse_r|roughness"):
+        material.with_maps(lobe=torch.tensor(lobe, dtype=torch.float64))
 
 
 def test_filtering_is_trilinear():

@@ -86,18 +86,29 @@ def _number(where: str, label: str, numbers: dict[str, float | Sequence[float]])
     if label in COLOURS:
         colour, channel = label.rsplit("_", 1)
         given = numbers.get(colour, _DEFAULTS[colour])
-        parts = [float(given)] * 3 if isinstance(given, int | float) else [float(part) for part in given]
-        if len(parts) != 3:
+        parts = _as_numbers(where, colour, given)
+        if len(parts) not in (1, 3):
             raise ShapeError(message(where, colour, "be one number or three", f"it has {len(parts)}"))
-        return parts["rgb".index(channel)]
+        return (parts * 3)["rgb".index(channel)] if len(parts) == 1 else parts["rgb".index(channel)]
     plain = label.removeprefix("log_")
     stem = plain.removesuffix("_along").removesuffix("_across")
-    value = float(numbers.get(plain, numbers.get(stem, _DEFAULTS[stem])))
+    values = _as_numbers(where, plain, numbers.get(plain, numbers.get(stem, _DEFAULTS[stem])))
+    if len(values) != 1:
+        raise ShapeError(message(where, plain, "be one number", f"it has {len(values)}"))
+    value = values[0]
     if plain == label:
         return value
     if not value > 0:
         raise RangeError(message(where, plain, "be positive", f"it is {value:g}"))
     return math.log(value)
+
+
+def _as_numbers(where: str, label: str, given: object) -> list[float]:
+    """Return one or more numbers as a list; raises RangeError for what is none."""
+    try:
+        return torch.as_tensor(given, dtype=torch.float64).reshape(-1).tolist()
+    except (TypeError, ValueError, RuntimeError) as error:
+        raise RangeError(message(where, label, "be numbers", f"it is {given!r}: {error}")) from error
 
 
 def _check_bounds(where: str, lobe: Lobe, parameters: Tensor) -> None:

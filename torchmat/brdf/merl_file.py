@@ -91,7 +91,7 @@ def write_merl(path: str | Path, brdf: Brdf) -> Path:
 
     A MerlBrdf is written as it is, in its resolution and with its missing entries as -1; any other is tabulated first,
     at 90 x 90 x 180 (`tabulate`). Only files of that size are read by other programs. Raises DataError, which names
-    the file, when it cannot be written.
+    the file, when it cannot be written, RangeError for an anisotropic BRDF.
     """
     found = brdf if isinstance(brdf, MerlBrdf) else tabulate(brdf)
     table = found.table.detach()

@@ -58,6 +58,10 @@ class Create:
     """BRDF only: render the pictures at those angles and keep the paper's k, instead of fitting all of them."""
     circle: tuple[float, float, float] | None = None
     """Sphere only: its centre (column, row) and radius in pixels."""
+    azimuths_deg: tuple[float, ...] | None = None
+    """Sphere only: the side each light came from, 0 the right, 90 above (default: all from the right)."""
+    exposure: float = 1.0
+    """Sphere only: what a white diffuse patch facing the camera read under the light at 0."""
 
     def run(self) -> None:
         from torchmat.material_io import check_target, save_material
@@ -103,7 +107,7 @@ class Create:
         photographs = read_photographs(self.path, self.encoding)
         return sphere_images_from_photographs(
             photographs, self.angles_deg, self.circle[:2], self.circle[2], size=self.picture_size,
-            storage=self.storage or "half",
+            azimuths_deg=self.azimuths_deg, exposure=self.exposure, storage=self.storage or "half",
         )
 
     def _from_textures(self):

@@ -29,7 +29,7 @@ class Render:
     light: Annotated[list[_Direction], tyro.conf.UseAppendAction] = field(default_factory=list)
     """Direction to a distant light, x y z; may be repeated, lights add up."""
     point: Annotated[list[_Direction], tyro.conf.UseAppendAction] = field(default_factory=list)
-    """Position of a point light, x y z, in the mesh's units; gives 1 at distance 1. May be repeated."""
+    """Position of a point light, x y z, in the mesh's units; gives 1 at distance 1. May be repeated. Not for the patch."""
     environment: Path | None = None
     """Latitude-longitude picture that lights the object, alone or beside other lights."""
     environment_lights: int = 64
@@ -49,7 +49,7 @@ class Render:
     turntable: int = 0
     """Number of pictures of the object turning before the camera: a contact sheet and an animated PNG."""
     sweep: int = 0
-    """Number of pictures under a light that goes round the view: a contact sheet and an animated PNG."""
+    """Number of pictures under one light that goes round the view: a contact sheet and an animated PNG."""
     gif: bool = False
     """Animate as GIF, which has 255 colours a picture."""
     exposure: float = 1.0
@@ -64,11 +64,27 @@ class Render:
         shader = self._load()
         inside = Path(self.material).is_dir() and is_material(self.material)
         folder = self.out or (Path(self.material) / "pictures" if inside else Path("pictures"))
+        meshes = self.mesh or (_DEFAULT_MESHES[1:] if self.point or self.turntable or self.sweep else _DEFAULT_MESHES)
+        self._check(meshes)
         lights = self._lights()
-        for mesh in self.mesh or _DEFAULT_MESHES:
+        for mesh in meshes:
             stem = folder / f"render_{Path(mesh).stem}"
             for path in self._pictures(shader, mesh, lights, stem):
                 print(f"picture    {path}")
+
+    def _check(self, meshes) -> None:
+        from torchmat.errors import RangeError, message
+
+        stems = [Path(mesh).stem for mesh in meshes]
+        twice = next((stem for stem in stems if stems.count(stem) > 1), None)
+        if twice is not None:
+            step = "Render them one after the other with --out."
+            raise RangeError(message("render", "--mesh", "have names of their own", f"two are called {twice}", step))
+        if (self.turntable or self.sweep) and "patch" in meshes:
+            raise RangeError(message("render", "--mesh", "be an object", "a patch does not turn", "Use --mesh quad."))
+        if self.sweep and (self.light or self.point or self.environment):
+            step = "Leave --light, --point and --environment out."
+            raise RangeError(message("render", "--sweep", "bring its own light", "others are given", step))
 
     def _load(self):
         from torchmat import load_brdf, load_material
@@ -84,7 +100,7 @@ class Render:
     def _lights(self) -> list:
         from torchmat.btf.photographs import read_linear
         from torchmat.render import Directional, Point, environment_lights
-        from torchmat.render.render import DEFAULT_LIGHT
+        from torchmat.render.lights import DEFAULT_LIGHT
 
         lights = [*map(Directional, self.light), *map(Point, self.point)]
         if self.environment is not None:
@@ -97,8 +113,9 @@ class Render:
         from torchmat.render.mesh import as_mesh
         from torchmat.render.render import PATCH
 
-        repeat = self.repeat or (_SPHERE_REPEAT if mesh == "sphere" else 1.0)
-        if (self.turntable or self.sweep) and mesh != PATCH:
+        usual = _SPHERE_REPEAT if mesh == "sphere" else 1.0
+        repeat = usual if self.repeat is None else self.repeat
+        if self.turntable or self.sweep:
             return self._animate(shader, as_mesh(mesh), lights, repeat, stem)
         body = mesh if mesh == PATCH else as_mesh(mesh)
         camera = None

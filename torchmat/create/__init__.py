@@ -1,6 +1,7 @@
-"""Materials without a BTF: from one picture, or from the textures that artists already have."""
+"""Materials without a BTF: from one picture, from the textures that artists already have, from photographs of a sphere."""
 
 from torchmat.create.from_picture import material_from_picture
+from torchmat.create.from_sphere import sphere_images_from_photographs
 from torchmat.create.from_textures import material_from_textures
 
-__all__ = ["material_from_picture", "material_from_textures"]
+__all__ = ["material_from_picture", "material_from_textures", "sphere_images_from_photographs"]

@@ -152,7 +152,7 @@ class GaussNewton:
         if not self.place:
             return Shape(shape.angles, turn)
         angles = shape.angles + functional.pad(move[knots:], (1, 0))
-        allowed = bool((torch.diff(angles) >= self.closest).all()) and float(angles[-1]) <= math.pi
+        allowed = bool((torch.diff(angles) >= self.closest).all()) and float(angles[-1]) <= math.pi + 1e-6
         return Shape(angles, turn) if allowed else None
 
     def _direction(

@@ -39,7 +39,8 @@ def fit_sphere_images(
     averaged over `lights` whole spheres at lights in between. `curves` "each" has a curve of `samples` for either
     side of each interval, "one" a common one, "paper" keeps the paper's. Pictures are solved for in closed form; curves
     and angles take up to `steps` of Gauss-Newton on smaller pictures: of `coarse` texels, by default the least of 64,
-    128, ... and `size` that show the highlight, so that its shape is judged and not the texels'.
+    128, ... and `size` that show the highlight, so that its shape is judged and not the texels'. Angles keep 3 degrees
+    between them, or what the closest of `angles_deg` have.
     """
     check_option("fit_sphere_images", "curves", curves, CURVES)
     _check_numbers(size=size, samples=samples, lights=lights, coarse=coarse or 1)
@@ -68,18 +69,21 @@ def fewest_angles(
 ) -> Fitted:
     """Return fitted sphere images of the fewest pictures whose relative error at unseen lights is at most `error`.
 
-    From 2 to `most` pictures, evenly from 0 to `last_deg` at the start; measured after export, as the mean over 16
-    lights that no fit has seen. `options` are those of `fit_sphere_images`. The figures list what each number reached.
+    From 2 to `most` pictures, evenly from 0 to `last_deg` at the start; measured after export, as the mean over 16 or
+    more lights that no fit has seen (those next to a picture's own left out). `options` are those of `fit_sphere_images`. The figures list what each number reached.
     Raises FitError, with the best error, when `most` are not enough.
     """
     if not 0 < error < math.inf or not 2 <= most:
         fact = f"they are {error} and {most}"
         raise RangeError(message("fewest_angles", "error and most", "be positive, and at least 2", fact))
+    # Middles of an even and of an odd number of parts never coincide, nor do those of a number of parts and its double.
+    fitted_lights = options.get("lights", 27)
+    probes = 16 if fitted_lights % 2 else 2 * fitted_lights
     reached: dict[int, float] = {}
     for count in range(2, most + 1):
         angles = [number * last_deg / (count - 1) for number in range(count)]
         fitted = fit_sphere_images(brdf, angles, size, **options)
-        lights = unseen_lights(fitted.material.options["angles_deg"], 16, last_deg)
+        lights = unseen_lights(fitted.material.options["angles_deg"], probes, last_deg)
         errors = sphere_errors(fitted.material.as_exported().to(brdf.dtype), brdf, lights)
         reached[count] = sum(errors) / len(errors)
         if reached[count] <= error:
@@ -118,7 +122,8 @@ def _begin(
     trial = min(size, coarse or _COARSEST)
     while True:
         problem = _problem(brdf, seen, trial, seed)
-        solver = GaussNewton(problem, shape, *free, math.radians(_CLOSEST_DEG))
+        closest = min(math.radians(_CLOSEST_DEG), float(shape.angles.diff().min()) * (1 - 1e-5))
+        solver = GaussNewton(problem, shape, *free, closest)
         state = solver.begin(shape, problem.black(len(shape.angles)))
         if coarse or trial == size or state.error <= _SHARP * len(seen):
             return solver, state

@@ -106,7 +106,7 @@ def sphere_errors(
 
 
 def unseen_lights(angles_deg: Sequence[float], count: int, last_deg: float | None = None) -> list[float]:
-    """Return `count` light angles evenly between 0 and the last of `angles_deg`, none of them a picture's own."""
+    """Return up to `count` light angles evenly between 0 and the last of `angles_deg`; those next to a picture's are left out."""
     last = max(angles_deg) if last_deg is None else last_deg
     lights = [(number + 0.5) * last / count for number in range(count)]
     return [light for light in lights if min(abs(light - angle) for angle in angles_deg) > 0.05 * last / count]

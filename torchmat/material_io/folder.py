@@ -95,7 +95,13 @@ def _known_files(target: Path) -> set[str]:
 
 
 def check_target(target: str | Path) -> None:
-    """Raise DataError unless `target` may be replaced: absent, empty, or a material folder and nothing else."""
+    """Raise DataError unless `target` may be replaced: absent, empty, or a material folder and nothing else.
+
+    A name that ends in .3pm is refused: such a file holds no report and no BRDF.
+    """
+    if is_volume(target):
+        step = "Choose a folder; save_material(load_material(folder), 'name.3pm') then writes the slices."
+        raise DataError(message(str(target), "the target", "be a folder", "its name ends in .3pm", step))
     files = _known_files(Path(target))
     atomic.refuse_foreign(
         Path(target), lambda name: name in files or (bool(files) and fnmatch(name, RENDERS)), "a material folder"
@@ -115,6 +121,9 @@ def save_material(
     """
     target = Path(folder)
     if is_volume(target):
+        if companions is not None:
+            step = "Save it as a folder."
+            raise DataError(message(str(target), "the target", "be a folder to hold a report", "it is a file", step))
         return write_volume(material, target)
     check_target(target)
     with atomic.building(target) as building:

@@ -63,7 +63,9 @@ class ShadingMap(Material):
             "slices": slices, "brdf": brdf, "overflow": overflow, "azimuths": azimuths, "ambient_level": ambient_level,
         }
         super().__init__(maps, **options, **settings)
-        if self._lobe is None and self.maps["reflectance"].shape[-1] % TABLE_RESOLUTION[-1]:
+        if self._lobe is not None:
+            AnalyticBrdf.from_parameters(brdf, self.maps["lobe"].detach())  # raises RangeError beyond the formula's bounds
+        elif self.maps["reflectance"].shape[-1] % TABLE_RESOLUTION[-1]:
             requirement = f"be [1, half, {TABLE_RESOLUTION[-1]} * difference]"
             fact = f"it is {tuple(self.maps['reflectance'].shape)}"
             raise ShapeError(message(self.name, "reflectance", requirement, fact, "Use with_brdf."))
@@ -107,6 +109,9 @@ class ShadingMap(Material):
         formula nor isotropic.
         """
         if isinstance(brdf, AnalyticBrdf):
+            if brdf.parameters.ndim != 1:
+                fact = f"its parameters are {tuple(brdf.parameters.shape)}"
+                raise ShapeError(message(f"{self.name}.with_brdf", "brdf", "be one formula, not a batch", fact))
             name, parts = brdf.name, {"lobe": brdf.parameters.detach().to(self.dtype)}
         else:
             table = tabulate(brdf, TABLE_RESOLUTION).table.mean(dim=0, keepdim=True)

@@ -13,6 +13,7 @@ from torchmat import colour, safe
 from torchmat.errors import RangeError, ShapeError, check_finite, message
 
 WHITE = (1.0, 1.0, 1.0)
+DEFAULT_LIGHT = (-0.4, 0.5, 0.768)
 _Numbers = Sequence[float] | Tensor
 
 
@@ -107,7 +108,7 @@ def environment_lights(picture: Tensor, count: int = 64, turn: float = 0.0) -> l
     columns to the right of it turn toward +x; `turn` radians turn it about y (positive: from +z toward +x). The map is
     cut `count` - 1 times, each time the region of most light into halves of equal light across its longer side
     (median cut, Debevec 2005); each region becomes a light at its centre of light. The sum of light is kept.
-    Raises RangeError for a map that is negative, not finite or black, or for a count below 1.
+    Raises RangeError for a map that is negative, not finite or black, or for a count below 1, ShapeError for no map.
     """
     where = "environment_lights"
     if picture.ndim != 3 or picture.shape[0] != 3 or 0 in picture.shape:

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from torchmat.errors import RangeError, message
 from torchmat.render.camera import Camera
-from torchmat.render.lights import Directional, Light, as_light, unit
+from torchmat.render.lights import DEFAULT_LIGHT, Directional, Light, as_light, unit
 from torchmat.render.mesh import Mesh, as_mesh
 from torchmat.render.mipmap import Pyramid, Shader
 from torchmat.render.objects import shade_visible
@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     import trimesh
 
 PATCH = "patch"
-DEFAULT_LIGHT = (-0.4, 0.5, 0.768)
 FRONT = (0.0, 0.0, 1.0)
 
 
@@ -45,6 +44,10 @@ def render(
     Raises RangeError for what lies outside, ShapeError for directions that are not x, y, z, DataError for a bad mesh.
     """
     picture_size(size, repeat, rays)
+    if not hasattr(material, "shade_at"):
+        step = "Use load_material, load_brdf, or RawBtf(btf)."
+        fact = f"it is a {type(material).__name__}"
+        raise RangeError(message("render", "material", "be a Material, a Brdf or a RawBtf", fact, step))
     lamps = [as_light(light) for light in lights]
     if mesh == PATCH:
         return _patch(material, lamps, unit("render", "view", view, material.dtype), size, repeat)

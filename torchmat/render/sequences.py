@@ -13,7 +13,7 @@ from torchmat.errors import RangeError, message
 from torchmat.progress import progress
 from torchmat.render.animate import directions_on_circle, turntable_directions
 from torchmat.render.camera import Camera
-from torchmat.render.lights import Directional, Light, as_light, unit
+from torchmat.render.lights import DEFAULT_LIGHT, Directional, Light, as_light, unit
 from torchmat.render.mesh import Mesh, as_mesh
 from torchmat.render.mipmap import Pyramid, Shader
 from torchmat.render.objects import shade_visible
@@ -23,7 +23,7 @@ _SWEEP_POLAR = math.radians(55.0)
 
 
 def turntable(
-    material: Shader, mesh: str | Path | Mesh = "teapot", lights: Sequence[Light | Sequence[float]] = ((-0.4, 0.5, 0.768),),
+    material: Shader, mesh: str | Path | Mesh = "teapot", lights: Sequence[Light | Sequence[float]] = (DEFAULT_LIGHT,),
     count: int = 24, elevation: float = math.radians(20.0), size: int | tuple[int, int] = 256, repeat: float = 1.0, *,
     field_of_view: float | None = None, shadows: bool = False, rays: int = 4, edges_only: bool = True,
     show: bool | None = None,
