@@ -29,14 +29,23 @@ def half_vector_rule(view: Tensor, steps: int = 256) -> tuple[Tensor, Tensor]:
     return light, torch.where((cosine > 0) & (light[2:3] > 0), weight, torch.zeros_like(weight))
 
 
+def values_over_lights(brdf: Brdf, polar: float, azimuth: float = 0.0, steps: int = 256) -> tuple[Tensor, Tensor]:
+    """Return values [3, steps, 2 steps] toward a view at these angles in radians, and their weights [1, steps, 2 steps]."""
+    angles = torch.tensor([polar, azimuth], dtype=brdf.dtype)
+    view = frames.from_polar(angles[0], angles[1])
+    light, weight = half_vector_rule(view, steps)
+    return brdf.shade(light, view[:, None, None]), weight
+
+
+def albedo_of(values: Tensor, weight: Tensor) -> Tensor:
+    """Return the albedo [3] that values over the lights add up to."""
+    return (values * weight).double().sum(dim=(1, 2)).to(values.dtype) / math.pi
+
+
 def directional_albedo(brdf: Brdf, polar: float, azimuth: float = 0.0, steps: int = 256) -> Tensor:
     """Return the share [3] of even white light from all sides that leaves toward a view at these angles in radians.
 
     For a reciprocal BRDF that is also the share of light from there that is reflected to all sides. With 256 steps
     Lambert's is off by 3e-5, from the edge that the horizon cuts into the rule.
     """
-    angles = torch.tensor([polar, azimuth], dtype=brdf.dtype)
-    view = frames.from_polar(angles[0], angles[1])
-    light, weight = half_vector_rule(view, steps)
-    value = brdf.shade(light, view[:, None, None])
-    return (value * weight).double().sum(dim=(1, 2)).to(value.dtype) / math.pi
+    return albedo_of(*values_over_lights(brdf, polar, azimuth, steps))

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from torchmat import frames
 from torchmat.brdf import Brdf, MerlBrdf, RglBrdf, brdf_kind, load_brdf
-from torchmat.brdf.albedo import half_vector_rule
+from torchmat.brdf.albedo import albedo_of, values_over_lights
 from torchmat.brdf.load import SUFFIXES
 from torchmat.btf import Btf
 from torchmat.material_io import load_material
@@ -86,11 +86,9 @@ def describe_brdf(path: str | Path) -> str:
     brdf = load_brdf(path)
     rows = [["source", str(path)], *_kind_rows(brdf)]
     low, high, albedos = math.inf, 0.0, []
-    for polar in torch.deg2rad(torch.tensor(_ALBEDO_DEG, dtype=brdf.dtype)):
-        view = frames.from_polar(polar, torch.zeros_like(polar))
-        light, weight = half_vector_rule(view, _STEPS)
-        value = brdf.shade(light, view[:, None, None])
-        albedos.append((value * weight).double().sum(dim=(1, 2)) / math.pi)
+    for polar_deg in _ALBEDO_DEG:
+        value, weight = values_over_lights(brdf, math.radians(polar_deg), steps=_STEPS)
+        albedos.append(albedo_of(value, weight))
         found = value[(weight > 0).expand(3, -1, -1)]
         low, high = min(low, float(found.min())), max(high, float(found.max()))
     rows.append(["pi f_r cos(light)", f"{number(low)} to {number(high)}"])
