@@ -35,7 +35,7 @@ def _fit_only(btf: Btf, model: str, options: dict[str, Any]) -> dict[str, float]
 
     def run() -> None:
         with torch.no_grad():
-            FITTERS[model](make_training(btf, split.train, 0, torch.float32, False), **chosen)
+            FITTERS[model](make_training(btf, split.train, 0, True, torch.float32, False), **chosen)
 
     return timed(run)
 

@@ -111,16 +111,16 @@ def first_hits(mesh: Mesh, origin: Tensor, direction: Tensor) -> Hits:
     first, second = corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]
     # Moeller & Trumbore 1997, in double precision: Embree's own distances have 24 bits as well.
     across = torch.linalg.cross(direction, second)
-    inverse = safe.divide(torch.ones((), dtype=torch.float64), (first * across).sum(dim=1))
+    inverse = safe.divide(torch.ones((), dtype=torch.float64), _dot(first, across))
     offset = origin - corner[:, 0]
-    u = (offset * across).sum(dim=1) * inverse
-    v = (direction * torch.linalg.cross(offset, first)).sum(dim=1) * inverse
+    u = _dot(offset, across) * inverse
+    v = _dot(direction, torch.linalg.cross(offset, first)) * inverse
     # Embree's rounding may put a ray a hair's breadth outside of the triangle that it says, and far outside of one that
     # is seen edge-on: the point stays in the triangle.
     share = torch.stack((1 - u - v, u, v), dim=1).clamp(min=0)
     share = share / share.sum(dim=1, keepdim=True)
     way = share[:, 1:2] * first + share[:, 2:] * second - offset
-    return Hits(ray, triangle, ahead[ray] + (way * direction).sum(dim=1), share)
+    return Hits(ray, triangle, ahead[ray] + _dot(way, direction), share)
 
 
 def winding_number(mesh: Mesh, point: Tensor) -> float:

@@ -20,7 +20,8 @@ from torchmat.report.tables import COMPARE_COLUMNS, to_json, write_csv
 DEFAULT_MODELS = (
     "texture", "lambert", "lptm", "ptm", "hsh:terms=4", "hsh:terms=9", "hsh:terms=16", "phong_srf",
     "phong_srf:residual=half_light", "phong_srf:residual=quadratic", "phong_srf:base=ashikhmin_shirley",
-    "pca:components=8", "pca:components=16", "local_pca",
+    "pca:components=8", "pca:components=16", "local_pca", "sphere_images", "shading_map",
+    "shading_map:brdf=ggx,azimuths=4",
 )
 _LEAST = 1e-9  # errors below are drawn there
 _FILES = ("comparison.json", "comparison.csv", "comparison.html", "error_against_bytes.png", "error_against_seconds.png")
