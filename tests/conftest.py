@@ -32,3 +32,15 @@ def small_btf() -> Btf:
     """A BTF of 22 lights x 22 views and 5 x 4 texels, made by NumPy."""
     light, view = all_pairs(hemisphere(), hemisphere())
     return Btf.from_tensors(plausible_images(light, view), light, view)
+
+
+@pytest.fixture(scope="module")
+def variant():
+    """Mitsuba as tests use it, one ray at a time in plain RGB; what was chosen before comes back."""
+    import mitsuba as mi
+
+    before = mi.variant()
+    mi.set_variant("scalar_rgb")
+    yield
+    if before is not None:
+        mi.set_variant(before)

@@ -13,21 +13,13 @@ from torchmat import load_brdf
 from torchmat.brdf.spectral import matching_functions, rgb_weights
 
 mi = pytest.importorskip("mitsuba", reason="Mitsuba is not installed: pip install 'torchmat[mitsuba]'")
+pytestmark = pytest.mark.usefixtures("variant")
 
 FILES = (
     "acrylic_felt_purple", "cardboard", "cc_iris_purple_gem", "chm_mint", "irid_flake_paint2", "leaf_maple",
     "satin_rosaline", "vch_golden_yellow",
 )
 PAIRS = 2000
-
-
-@pytest.fixture(scope="module", autouse=True)
-def variant():
-    before = mi.variant()
-    mi.set_variant("scalar_rgb")
-    yield
-    if before is not None:
-        mi.set_variant(before)
 
 
 def evaluated(path, light: np.ndarray, view: np.ndarray) -> np.ndarray:

@@ -12,6 +12,7 @@ from torchmat.geometry import soft_shadow, trace_view
 from torchmat.models import Lambert
 
 mi = pytest.importorskip("mitsuba", reason="Mitsuba is not installed: pip install 'torchmat[mitsuba]'")
+pytestmark = pytest.mark.usefixtures("variant")
 
 TEXELS = 32
 FINE = 4  # vertices per texel
@@ -36,15 +37,6 @@ def surface(x, y):
 def height_map() -> torch.Tensor:
     u = (np.arange(TEXELS) + 0.5) / TEXELS
     return torch.from_numpy(surface(*np.meshgrid(u, 1 - u)))[None]
-
-
-@pytest.fixture(scope="module", autouse=True)
-def variant():
-    before = mi.variant()
-    mi.set_variant("scalar_rgb")
-    yield
-    if before is not None:
-        mi.set_variant(before)
 
 
 @pytest.fixture(scope="module")

@@ -17,6 +17,7 @@ from torchmat.render.shapes import make_mesh
 from torchmat.render.visibility import see
 
 mi = pytest.importorskip("mitsuba", reason="Mitsuba is not installed: pip install 'torchmat[mitsuba]'")
+pytestmark = pytest.mark.usefixtures("variant")
 
 SIZE = (24, 32)
 SUN = Directional((-0.5, 0.6, 0.7), (1.0, 0.8, 0.5))
@@ -52,15 +53,6 @@ BRDFS = {
         lambda: {"type": "measured", "filename": str(shared_path("real/rgl/vch_golden_yellow_rgb.bsdf"))},
     ),
 }
-
-
-@pytest.fixture(scope="module", autouse=True)
-def variant():
-    before = mi.variant()
-    mi.set_variant("scalar_rgb")
-    yield
-    if before is not None:
-        mi.set_variant(before)
 
 
 def shape_of(mesh, bsdf: dict):

@@ -17,11 +17,16 @@ DEFAULT_LIGHT = (-0.4, 0.5, 0.768)
 _Numbers = Sequence[float] | Tensor
 
 
-def vector(where: str, name: str, given: _Numbers, dtype: torch.dtype = torch.float64) -> Tensor:
-    """Return three finite numbers as a tensor [3]; raises ShapeError or RangeError, naming the argument."""
+def _three(where: str, name: str, given: _Numbers, dtype: torch.dtype) -> Tensor:
     found = torch.as_tensor(given, dtype=dtype)
     if found.shape != (3,):
         raise ShapeError(message(where, name, "be x, y, z", f"its shape is {tuple(found.shape)}"))
+    return found
+
+
+def vector(where: str, name: str, given: _Numbers, dtype: torch.dtype = torch.float64) -> Tensor:
+    """Return three finite numbers as a tensor [3]; raises ShapeError or RangeError, naming the argument."""
+    found = _three(where, name, given, dtype)
     if not bool(torch.isfinite(found).all()):
         raise RangeError(message(where, name, "be finite", f"it is {found.tolist()}"))
     return found
@@ -29,9 +34,7 @@ def vector(where: str, name: str, given: _Numbers, dtype: torch.dtype = torch.fl
 
 def unit(where: str, name: str, given: _Numbers, dtype: torch.dtype = torch.float64) -> Tensor:
     """Return a direction [3] of length 1; raises RangeError for one without length."""
-    found = torch.as_tensor(given, dtype=dtype)
-    if found.shape != (3,):
-        raise ShapeError(message(where, name, "be x, y, z", f"its shape is {tuple(found.shape)}"))
+    found = _three(where, name, given, dtype)
     if not bool(torch.isfinite(found).all()) or not bool(found.any()):
         raise RangeError(message(where, name, "be a finite direction", f"it is {found.tolist()}"))
     return safe.normalise(found, dim=0)
@@ -134,8 +137,7 @@ def environment_lights(picture: Tensor, count: int = 64, turn: float = 0.0) -> l
         weight = grey[top:bottom, left:right] if bool(grey[top:bottom, left:right].any()) else part.sum(dim=0)
         centre = (direction[:, top:bottom, left:right] * weight).sum(dim=(1, 2))
         if not bool(centre.norm() > 1e-9 * weight.sum()):  # light from all sides alike has no centre
-            middle = direction[:, (top + bottom) // 2, (left + right) // 2]
-            centre = middle
+            centre = direction[:, (top + bottom) // 2, (left + right) // 2]
         # A value is pi times reflectance times cosine, so light that fills a solid angle counts over pi.
         lights.append(Directional(tuple(safe.normalise(centre, dim=0).tolist()), tuple((total / math.pi).tolist())))
     return lights
