@@ -13,7 +13,7 @@ PACKAGE = Path(torchmat.__file__).parent
 LEVELS = {
     "errors": 0, "safe": 0, "repeatable": 0, "colour": 0, "progress": 0, "machine": 0, "atomic": 1,
     "frames": 1, "images": 1, "metrics": 1, "sample": 1,
-    "brdf": 2, "btf": 2, "geometry": 2, "models": 3, "fit": 4, "render": 4, "material_io": 4, "create": 4,
+    "brdf": 2, "btf": 2, "geometry": 2, "models": 3, "fit": 4, "render": 4, "scene_use": 2, "material_io": 4, "create": 4,
     "report": 5, "cli": 6,
 }
 _SIDE_BY_SIDE = {"fit", "render", "material_io", "create"}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 import tomllib
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -10,7 +11,8 @@ from typing import Any
 
 from torchmat.btf.split import HOLDOUT_WAYS
 from torchmat.errors import DataError, RangeError, check_known_keys, check_option, message
-from torchmat.fit.registry import resolve_options
+from torchmat.fit.registry import AUTO, resolve_options
+from torchmat.fit.target import make_target
 
 _DATA_KEYS = (
     "kind", "encoding", "exposure", "crop", "downscale", "lights", "views", "invalid", "duplicates", "normalise",
@@ -23,7 +25,9 @@ class FitConfig:
     """Everything that decides a fit, apart from the data itself.
 
     `options` are the model's; `geometry` is "flat", "recover", or for the command line the path of a height map;
-    `data` are keywords of `load_btf`, used by the command line.
+    `target` holds what `Target` does: the wanted error and budgets of the model "auto", and the seconds of any other;
+    `tile` is the side of the tiles of texels that are fitted one after the other and `memory_mb` what a fit may take,
+    0 is no wish for both; `data` are keywords of `load_btf`, used by the command line.
     """
 
     model: str = "phong_srf"
@@ -33,10 +37,22 @@ class FitConfig:
     seed: int = 0
     geometry: str = "flat"
     tiles: bool = True
+    target: dict[str, Any] = field(default_factory=dict)
+    tile: int = 0
+    memory_mb: float = 0.0
     data: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         resolve_options(self.model, self.options)
+        make_target("config [target]", self.target)
+        for name in ("tile", "memory_mb"):
+            if not 0 <= getattr(self, name) < math.inf:
+                step = "0 leaves it open."
+                raise RangeError(message("config", name, "be at least 0", f"it is {getattr(self, name)}", step))
+        others = [name for name in ("error", "psnr", "bytes") if self.target.get(name) is not None]
+        if others and self.model != AUTO:
+            step = f'Fit "{AUTO}" to let the model be chosen, or leave {others[0]} out.'
+            raise RangeError(message("fit", others[0], f'be wanted of the model "{AUTO}"', f"it is {self.model}", step))
         check_known_keys("config [data]", self.data, _DATA_KEYS)
         check_option("config", "holdout_by", self.holdout_by, HOLDOUT_WAYS)
         if not 0 <= self.holdout < 1:
@@ -47,7 +63,7 @@ class FitConfig:
 def _typed(where: str, table: dict[str, Any]) -> dict[str, Any]:
     kinds = {
         "model": str, "options": dict, "holdout": (int, float), "holdout_by": str, "seed": int, "geometry": str,
-        "tiles": bool, "data": dict,
+        "tiles": bool, "target": dict, "tile": int, "memory_mb": (int, float), "data": dict,
     }
     for key, value in table.items():
         if not isinstance(value, kinds[key]) or (isinstance(value, bool) and kinds[key] is not bool):

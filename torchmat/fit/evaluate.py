@@ -35,13 +35,18 @@ def predict(material: Material, btf: Btf, indices: Tensor) -> Tensor:
 
 
 def evaluate(
-    material: Material, btf: Btf, indices: Tensor, most: int | None = None, progress: bool | None = False
+    material: Material, btf: Btf, indices: Tensor, most: int | None = None, progress: bool | None = False,
+    perceptual: bool = True,
 ) -> Evaluation:
-    """Measure `material` against samples `indices` of `btf` (at most `most`, evenly chosen)."""
+    """Measure `material` against samples `indices` of `btf` (at most `most`, evenly chosen).
+
+    `perceptual` False leaves SSIM and CIEDE2000 out, which take most of the time.
+    """
     if most is not None and len(indices) > most:
         indices = indices[torch.linspace(0, len(indices) - 1, most).round().long()]
-    perceptual = torch.zeros(len(indices), dtype=torch.bool)
-    perceptual[torch.linspace(0, len(indices) - 1, min(len(indices), PERCEPTUAL_SAMPLES)).round().long()] = True
+    looked_at = torch.zeros(len(indices), dtype=torch.bool)
+    if perceptual:
+        looked_at[torch.linspace(0, len(indices) - 1, min(len(indices), PERCEPTUAL_SAMPLES)).round().long()] = True
     errors = SampleErrors()
     batch = max(1, _VALUES // (3 * btf.height * btf.width))
     parts = torch.arange(len(indices)).split(batch)
@@ -50,7 +55,7 @@ def evaluate(
         prediction = predict(material, btf, rows)
         target = btf.images(rows, prediction.dtype)
         clipped = btf.clipped(rows) & (target >= btf.clip_level)
-        errors.add(prediction, target, btf.valid(rows), clipped, perceptual[part])
+        errors.add(prediction, target, btf.valid(rows), clipped, looked_at[part])
     report: dict[str, Any] = {"samples": len(indices), **errors.report()}
     report["by_angle"] = _bands(errors, btf.light[indices], "light") + _bands(errors, btf.view[indices], "view")
     return Evaluation(report, errors.per_sample_display())

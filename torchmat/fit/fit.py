@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
-import time
+import math
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -13,15 +14,22 @@ from torch import Tensor
 
 from torchmat.btf import Btf, Split, split_samples
 from torchmat.errors import RangeError, message
+from torchmat.fit.auto import fit_auto
 from torchmat.fit.config import FitConfig, load_config
 from torchmat.fit.evaluate import Evaluation, evaluate, shading_rate
+from torchmat.fit.for_scene import fit_for_scene
 from torchmat.fit.on_relief import fit_with_geometry
-from torchmat.fit.registry import resolve_options
-from torchmat.fit.training import make_training
+from torchmat.fit.registry import AUTO, resolve_options
+from torchmat.fit.target import make_target
+from torchmat.fit.tiled import fit_tiled
+from torchmat.fit.training import Fitted, Training, make_training
+from torchmat.fit.watch import Watch
 from torchmat.geometry import Relief
 from torchmat.machine import peak_memory_mb, versions
 from torchmat.models import Material
+from torchmat.scene_use import SceneUse
 
+_CURVE_SAMPLES = 64  # held-out samples that a curve of error against seconds is measured on
 _TRAIN_SAMPLES = 512  # the training error is measured on at most so many samples, evenly chosen
 _PARTS = ("train", "held_out", "held_out_after_export")
 
@@ -32,7 +40,8 @@ class FitResult:
 
     `report` is what `report.json` holds; `coverage` [1, H, W] the share of the unknowns that each texel's samples
     determine (None where it has no meaning); `held_out_errors` [m] the display error of each held-out sample;
-    `relief` the geometry that was recovered and used; `history` (seconds, error) of an iterative solver.
+    `relief` the geometry that was recovered and used; `history` (seconds, error) as the fit went on: of an iterative
+    solver in its own terms, or with `curve` the relative error on held-out samples.
     """
 
     material: Material
@@ -54,6 +63,15 @@ def fit(
     seed: int | None = None,
     geometry: str | Tensor | None = None,
     tiles: bool | None = None,
+    error: float | None = None,
+    psnr: float | None = None,
+    bytes: float | None = None,
+    seconds: float | None = None,
+    scene: SceneUse | None = None,
+    tile: int | None = None,
+    memory_mb: float | None = None,
+    work: str | Path | None = None,
+    curve: bool = False,
     dtype: torch.dtype = torch.float32,
     measure: bool = True,
     progress: bool | None = None,
@@ -70,36 +88,67 @@ def fit(
     in double precision. `measure` False leaves the errors out of the report, which takes most of the time of a
     closed-form fit. Deterministic for a seed.
 
+    The model "auto" is the choice among all: the smallest material whose relative `error` or `psnr` (dB) on held-out
+    samples is as wanted, or the best within so many `bytes` a texel and `seconds`; see `fit.auto`. Of any other model
+    `seconds` stops an iterative solver, with the best so far. `scene` fits only the texels, lights and views that a
+    scene uses (`Scene.use`), weighted as it uses them. `tile` texels on a side are fitted at a time, or as many as
+    `memory_mb` allows; finished tiles are kept in the folder `work`, where a run that was killed goes on. `curve` records
+    the held-out error against seconds as `history`.
+
     Raises RangeError for unknown models or options, FitError when the data cannot determine the model.
     """
     given_height = None if geometry is None or isinstance(geometry, str) else _as_height(geometry)
     way = {"geometry": geometry} if isinstance(geometry, str) else {}
-    given = {"holdout": holdout, "holdout_by": holdout_by, "seed": seed, "tiles": tiles, **way}
-    config = _resolve(model, given, options)
+    given = {"holdout": holdout, "holdout_by": holdout_by, "seed": seed, "tiles": tiles, "tile": tile, "memory_mb": memory_mb}
+    wanted = {"error": error, "psnr": psnr, "bytes": bytes, "seconds": seconds}
+    config = _resolve(model, given | way, wanted, options)
     if dtype not in (torch.float32, torch.float64):
         raise RangeError(message("fit", "dtype", "be torch.float32 or torch.float64", f"it is {dtype}"))
     chosen = resolve_options(config.model, config.options)
     split = split_samples(btf, config.holdout, config.holdout_by, config.seed)
-    start = time.perf_counter()
-    training = make_training(btf, split.train, config.seed, config.tiles, dtype, progress)
+    watch = Watch(config.target.get("seconds", math.inf), _held_out_error(btf, split) if curve else None)
+    training = make_training(btf, split.train, config.seed, config.tiles, dtype, progress, watch)
     with torch.no_grad():
-        fitted = fit_with_geometry(training, config.model, chosen, config.geometry if given_height is None else given_height)
-    seconds = time.perf_counter() - start
-    report, held_out = _report(btf, fitted.material, split, progress) if measure else (dict.fromkeys(_PARTS), None)
+        fitted = _fitted(training, config, chosen, config.geometry if given_height is None else given_height, scene, work)
+        watch.note(lambda: fitted.material)
+    seconds = watch.seconds
+    covered = btf if fitted.window is None else btf.window(*fitted.window)
+    report, held_out = _report(covered, fitted.material, split, progress) if measure else (dict.fromkeys(_PARTS), None)
     report = {
-        "model": config.model, "options": chosen, "samples": len(btf), "texels": btf.height * btf.width,
+        "model": fitted.material.name, "options": chosen, "samples": len(btf), "texels": btf.height * btf.width,
         "seed": config.seed, "holdout": config.holdout, "holdout_by": config.holdout_by,
         "geometry": config.geometry if given_height is None else "given", "tiles": config.tiles,
         "bytes_per_texel": fitted.material.bytes_per_texel, "shared_bytes": fitted.material.shared_bytes,
         "fit_seconds": seconds, "load_seconds": btf.source.load_seconds,
         "shade_mtexels_per_s": shading_rate(fitted.material), "peak_rss_mb": peak_memory_mb(),
-        "stop_reason": fitted.stop_reason, **report, "coverage": _coverage(fitted.coverage), **_source(btf),
-        "figures": fitted.figures, "versions": versions(),
+        "stop_reason": fitted.stop_reason, "target": config.target, **report, "coverage": _coverage(fitted.coverage),
+        **_source(btf), "figures": fitted.figures, "curve": watch.history, "versions": versions(),
     }
     errors = held_out.per_sample if held_out else None
     return FitResult(
-        fitted.material, fitted.stop_reason, report, split, fitted.coverage, errors, fitted.relief, fitted.history
+        fitted.material, fitted.stop_reason, report, split, fitted.coverage, errors, fitted.relief,
+        watch.history or fitted.history,
     )
+
+
+def _fitted(
+    training: Training, config: FitConfig, options: dict[str, Any], geometry: str | Tensor, scene: SceneUse | None,
+    work: str | Path | None,
+) -> Fitted:
+    """Return what the config asks for: a model, whole or tile by tile, or the choice among models; for a scene or all."""
+    if scene is not None:
+        return fit_for_scene(training, config, options, geometry, scene)
+    if config.model == AUTO:
+        return fit_auto(training, make_target("fit", config.target), geometry)
+    if config.tile or config.memory_mb or work is not None:
+        return fit_tiled(training, config.model, options, geometry, config.tile, config.memory_mb, work)
+    return fit_with_geometry(training, config.model, options, geometry)
+
+
+def _held_out_error(btf: Btf, split: Split) -> Callable[[Material], float]:
+    """Return the function that measures a material on some of the held-out samples."""
+    rows = split.held_out if len(split.held_out) else split.train
+    return lambda material: evaluate(material, btf, rows, _CURVE_SAMPLES, perceptual=False).report["relative_error"]
 
 
 def _as_height(geometry: Any) -> Tensor:
@@ -115,12 +164,14 @@ def _as_height(geometry: Any) -> Tensor:
         raise RangeError(message("fit", "geometry", "be a height map", fact, step)) from error
 
 
-def _resolve(model: str | Path | FitConfig, given: dict[str, Any], options: dict[str, Any]) -> FitConfig:
+def _resolve(
+    model: str | Path | FitConfig, given: dict[str, Any], wanted: dict[str, Any], options: dict[str, Any]
+) -> FitConfig:
     if isinstance(model, Path) or (isinstance(model, str) and model.endswith(".toml")):
         model = load_config(model)
     base = model if isinstance(model, FitConfig) else FitConfig(model=model)
-    given = {name: value for name, value in given.items() if value is not None}
-    return dataclasses.replace(base, **given, options={**base.options, **options})
+    given, wanted = ({name: value for name, value in table.items() if value is not None} for table in (given, wanted))
+    return dataclasses.replace(base, **given, target={**base.target, **wanted}, options={**base.options, **options})
 
 
 def _report(

@@ -29,9 +29,14 @@ FITTERS: dict[str, Callable[..., Fitted]] = {
 }
 
 
+AUTO = "auto"  # not a model: the choice among them
+
+
 def default_options(model: str) -> dict[str, object]:
     """Return the options of a model and their defaults: the keyword arguments of its fit function."""
-    check_option("fit", "model", model, FITTERS)
+    check_option("fit", "model", model, (*FITTERS, AUTO))
+    if model == AUTO:
+        return {}
     parameters = inspect.signature(FITTERS[model]).parameters.values()
     return {p.name: p.default for p in parameters if p.kind is inspect.Parameter.KEYWORD_ONLY}
 

@@ -10,6 +10,7 @@ from torch import Tensor
 
 from torchmat.btf import Btf
 from torchmat.errors import FitError, message
+from torchmat.fit.watch import Watch
 from torchmat.geometry import Relief
 from torchmat.models import Material
 
@@ -20,7 +21,8 @@ CLOSED_FORM = "converged"
 class Training:
     """The samples a fit may look at: `used` is bool [sample], lights above the horizon and not held out.
 
-    `tiles` says that the surface repeats.
+    `tiles` says that the surface repeats. `importance` [sample] is what a sample counts (None: all alike); `watch` is
+    the fit's clock.
     """
 
     btf: Btf
@@ -29,6 +31,8 @@ class Training:
     tiles: bool = True
     dtype: torch.dtype = torch.float32
     progress: bool | None = None
+    importance: Tensor | None = None
+    watch: Watch = field(default_factory=Watch)
 
     @property
     def light(self) -> Tensor:
@@ -42,7 +46,7 @@ class Training:
 
 
 def make_training(
-    btf: Btf, train: Tensor, seed: int, tiles: bool, dtype: torch.dtype, progress: bool | None
+    btf: Btf, train: Tensor, seed: int, tiles: bool, dtype: torch.dtype, progress: bool | None, watch: Watch | None = None
 ) -> Training:
     """Return the Training for sample indices `train`; raises FitError when no light is above the horizon."""
     used = torch.zeros(len(btf), dtype=torch.bool)
@@ -51,7 +55,7 @@ def make_training(
     if not bool(used.any()):
         step = "Check the light directions: z points away from the surface."
         raise FitError(message("fit", "the data", "have a sample lit from above", "none of the fitted ones is", step))
-    return Training(btf, used, seed, tiles, dtype, progress)
+    return Training(btf, used, seed, tiles, dtype, progress, watch=watch or Watch())
 
 
 @dataclass(frozen=True)
@@ -59,7 +63,8 @@ class Fitted:
     """A material, why the solver stopped, the share of its unknowns each texel's samples determine, and figures.
 
     `coverage` [1, H, W] or None where it has no meaning; `figures` go into the report under the model's own keys;
-    `relief` is the geometry that was recovered and used; `history` lists (seconds, error) of an iterative solver.
+    `relief` is the geometry that was recovered and used; `window` (top, left, height, width) the texels that the material
+    covers, None for all; `history` lists (seconds, error) of a solver in its own terms.
     """
 
     material: Material
@@ -67,4 +72,5 @@ class Fitted:
     coverage: Tensor | None = None
     figures: dict[str, Any] = field(default_factory=dict)
     relief: Relief | None = None
+    window: tuple[int, int, int, int] | None = None
     history: list[tuple[float, float]] = field(default_factory=list)

@@ -1,0 +1,50 @@
+"""What a fit is asked to reach, and what it may cost."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from torchmat.errors import RangeError, check_known_keys, message
+
+TARGET_KEYS = ("error", "psnr", "bytes", "seconds")
+
+
+@dataclass(frozen=True)
+class Target:
+    """The wanted error on samples never seen, and budgets; None is no wish.
+
+    `error` is the relative error, `psnr` in dB, both after export; `bytes` a texel, shared tables included; `seconds` of
+    fitting. Raises RangeError for numbers that cannot be, and when both `error` and `psnr` are given.
+    """
+
+    error: float | None = None
+    psnr: float | None = None
+    bytes: float | None = None
+    seconds: float | None = None
+
+    def __post_init__(self) -> None:
+        for name in TARGET_KEYS:
+            value = getattr(self, name)
+            if value is None:
+                continue
+            number = isinstance(value, int | float) and not isinstance(value, bool)
+            if not number or not 0 < value < math.inf:
+                raise RangeError(message("fit", name, "be a positive number", f"it is {value!r}"))
+        if self.error is not None and self.psnr is not None:
+            fact = f"they are {self.error} and {self.psnr}"
+            step = "Give the one that matters; the report holds both."
+            raise RangeError(message("fit", "error and psnr", "not be wanted together", fact, step))
+
+    @property
+    def asks_for_error(self) -> bool:
+        """Whether an error is wanted, and not only a budget kept."""
+        return self.error is not None or self.psnr is not None
+
+
+def make_target(where: str, table: Mapping[str, Any]) -> Target:
+    """Return the Target of a table; unknown keys are errors that suggest the nearest one."""
+    check_known_keys(where, table, TARGET_KEYS)
+    return Target(**table)

@@ -1,0 +1,4 @@
+"""What a scene uses of a material: stub."""
+
+class SceneUse:
+    pass
