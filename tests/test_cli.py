@@ -131,6 +131,7 @@ def test_compare_prints_and_writes_a_table(data, tmp_path, capsys):
     assert [row["model"] for row in rows] == models and rows[0]["report"]["holdout"] == 0.3
     assert {path.name for path in out.iterdir()} == {
         "comparison.json", "comparison.csv", "comparison.html", "error_against_bytes.png", "error_against_seconds.png",
+        "error_against_shading.png",
     }
 
 

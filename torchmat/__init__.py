@@ -6,12 +6,12 @@ from torchmat.errors import DataError, FitError, RangeError, ShapeError, Torchma
 from torchmat.fit import FitConfig, FitResult, evaluate, fit, load_config
 from torchmat.material_io import load_material, save_material
 from torchmat.models import Material
-from torchmat.render import render
+from torchmat.render import Scene, render
 from torchmat.report import compare
 from torchmat.sample import sample_path, sample_truth
 
 __all__ = [
-    "Brdf", "Btf", "DataError", "FitConfig", "FitError", "FitResult", "Material", "RangeError", "ShapeError",
+    "Brdf", "Btf", "DataError", "FitConfig", "FitError", "FitResult", "Material", "RangeError", "Scene", "ShapeError",
     "TorchmatError", "compare", "evaluate", "fit", "load_brdf", "load_btf", "load_config", "load_material", "render",
     "sample_path", "sample_truth", "save_material", "split_samples",
 ]

@@ -92,8 +92,10 @@ def refuse_foreign(target: Path, known: Callable[[str], bool], what: str) -> Non
     `known` is asked for names relative to the folder, with forward slashes; `what` names what may stand there.
     """
     step = "Choose another folder, or move what is there."
-    if target.exists() and not target.is_dir():
+    if os.path.exists(target) and not os.path.isdir(target):
         raise DataError(message(str(target), "the target", "be a folder", "it is a file", step))
+    if not os.path.isdir(target):
+        return
     files = sorted(path.relative_to(target).as_posix() for path in target.rglob("*") if not path.is_dir())
     foreign = [name for name in files if not known(name)]
     if foreign:
@@ -108,13 +110,13 @@ def building(target: str | Path, durable: bool = True) -> Iterator[Path]:
     `durable` flushes the files first. Raises DataError, which names the folder, when it cannot be made; whatever the
     block raises passes through after the half-built folder is removed and the old one left as it was.
     """
-    target = Path(os.path.realpath(target))  # a link to a folder stays a link, and what it points to is replaced
     try:
+        target = Path(os.path.realpath(target))  # a link to a folder stays a link, and what it points to is replaced
         target.parent.mkdir(parents=True, exist_ok=True)
         _sweep(target)
         built = Path(tempfile.mkdtemp(prefix=f"{_prefix(target)}{os.getpid()}-", dir=target.parent))
         built.chmod(0o755)
-    except OSError as error:
+    except (OSError, ValueError) as error:  # ValueError: a NUL in the name
         step = "Choose a folder that can be written to."
         raise DataError(message(str(target), "the folder", "be writable", str(error), step)) from error
     try:
@@ -136,12 +138,12 @@ def building_file(target: str | Path) -> Iterator[Path]:
     So the file appears whole or not at all, and one that was there before stays until then; a link stays a link. Raises
     DataError, which names the file, when it cannot be written; whatever else the block raises passes through.
     """
-    target = Path(os.path.realpath(target))
     try:
+        target = Path(os.path.realpath(target))
         target.parent.mkdir(parents=True, exist_ok=True)
         _sweep(target)
         built = Path(tempfile.mkdtemp(prefix=f"{_prefix(target)}{os.getpid()}-", dir=target.parent))
-    except OSError as error:
+    except (OSError, ValueError) as error:  # ValueError: a NUL in the name
         step = "Choose a folder that can be written to."
         raise DataError(message(str(target), "the file", "be writable", str(error), step)) from error
     try:

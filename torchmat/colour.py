@@ -8,6 +8,8 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from torchmat import safe
+
 
 def srgb_to_linear(image: Tensor) -> Tensor:
     """Return linear RGB of sRGB-encoded `image` [..., 3, H, W] (IEC 61966-2-1, through kornia)."""
@@ -41,7 +43,25 @@ def srgb_to_lab(image: Tensor) -> Tensor:
 
 
 def _hue(a: Tensor, b: Tensor) -> Tensor:
-    return torch.rad2deg(torch.atan2(b, a)) % 360.0
+    """Return the hue in degrees, [0, 360); 0 with gradient 0 where there is none."""
+    size = torch.maximum(a.abs(), b.abs()).detach()
+    a, b = safe.divide(a, size), safe.divide(b, size)  # the derivative divides by a^2 + b^2, which underflows
+    grey = (a == 0) & (b == 0)
+    return torch.rad2deg(torch.atan2(b, torch.where(grey, torch.ones_like(a), a))) % 360.0
+
+
+def _chroma(a: Tensor, b: Tensor) -> Tensor:
+    """Return the distance from grey, with gradient 0 at grey."""
+    size = torch.maximum(a.abs(), b.abs()).detach()
+    a, b = safe.divide(a, size), safe.divide(b, size)
+    return size * safe.sqrt(a * a + b * b)
+
+
+def _vivid(chroma: Tensor) -> Tensor:
+    """Return sqrt(C^7 / (C^7 + 25^7)) with powers of at most 1, which cannot overflow."""
+    low, high = (chroma / 25).clamp(max=1), safe.divide(25 * torch.ones_like(chroma), chroma.clamp(min=25))
+    # The root is taken factor by factor: that of C^7 has an infinite derivative where C^7 underflows.
+    return torch.where(chroma < 25, low**3 * safe.sqrt(low) / torch.sqrt(1 + low**7), 1 / torch.sqrt(1 + high**7))
 
 
 def ciede2000(first: Tensor, second: Tensor) -> Tensor:
@@ -52,18 +72,16 @@ def ciede2000(first: Tensor, second: Tensor) -> Tensor:
     """
     lightness_1, a_1, b_1 = first.unbind(-3)
     lightness_2, a_2, b_2 = second.unbind(-3)
-    mean_chroma = (torch.hypot(a_1, b_1) + torch.hypot(a_2, b_2)) / 2
-    seventh = mean_chroma**7
-    stretch = 1.5 - 0.5 * torch.sqrt(seventh / (seventh + 25.0**7))
+    stretch = 1.5 - 0.5 * _vivid((_chroma(a_1, b_1) + _chroma(a_2, b_2)) / 2)
     a_1, a_2 = a_1 * stretch, a_2 * stretch
-    chroma_1, chroma_2 = torch.hypot(a_1, b_1), torch.hypot(a_2, b_2)
+    chroma_1, chroma_2 = _chroma(a_1, b_1), _chroma(a_2, b_2)
     grey = chroma_1 * chroma_2 == 0
     hue_1, hue_2 = _hue(a_1, b_1), _hue(a_2, b_2)
 
     turn = hue_2 - hue_1
     turn = torch.where(turn > 180, turn - 360, torch.where(turn < -180, turn + 360, turn))
     turn = torch.where(grey, torch.zeros_like(turn), turn)
-    hue_term = 2 * torch.sqrt(chroma_1 * chroma_2) * torch.sin(torch.deg2rad(turn) / 2)
+    hue_term = 2 * safe.sqrt(chroma_1) * safe.sqrt(chroma_2) * torch.sin(torch.deg2rad(turn) / 2)
 
     total, apart = hue_1 + hue_2, (hue_1 - hue_2).abs() > 180
     mean_hue = torch.where(apart, torch.where(total < 360, total + 360, total - 360), total) / 2
@@ -91,9 +109,8 @@ def _weighted_difference(
     lightness_weight = 1 + 0.015 * squared / torch.sqrt(20 + squared)
     chroma_weight = 1 + 0.045 * chroma
     hue_weight = 1 + 0.015 * chroma * t
-    seventh = chroma**7
     turn = torch.sin(torch.deg2rad(60 * torch.exp(-(((hue - 275) / 25) ** 2))))
-    rotation = -2 * torch.sqrt(seventh / (seventh + 25.0**7)) * turn
+    rotation = -2 * _vivid(chroma) * turn
     l_term, c_term, h_term = d_lightness / lightness_weight, d_chroma / chroma_weight, d_hue / hue_weight
     total = l_term**2 + c_term**2 + h_term**2 + rotation * c_term * h_term
-    return torch.sqrt(total.clamp(min=0))
+    return safe.sqrt(total)

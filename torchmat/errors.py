@@ -11,6 +11,7 @@ from collections.abc import Iterable
 
 import torch
 
+_LONGEST = 600  # letters of a fact; more is the content of a damaged file
 
 class TorchmatError(Exception):
     """Base of all errors that the package raises on purpose."""
@@ -32,9 +33,14 @@ class FitError(TorchmatError, RuntimeError):
     """A fit cannot be carried out on the given data."""
 
 
+def _short(text: str) -> str:
+    """Leave out the middle of what a file says at great length."""
+    return text if len(text) <= _LONGEST else f"{text[: _LONGEST // 2]} ... {text[-_LONGEST // 4 :]}"
+
+
 def message(where: str, name: str, requirement: str, fact: str, next_step: str = "") -> str:
     """Return an error text in the package's one form."""
-    text = f"{where}: {name} must {requirement}; {fact}."
+    text = f"{where}: {_short(name)} must {requirement}; {_short(fact)}."
     return f"{text} {next_step}" if next_step else text
 
 

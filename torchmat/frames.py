@@ -26,16 +26,17 @@ def from_polar(polar: Tensor, azimuth: Tensor, dim: int = -1) -> Tensor:
 def to_polar(direction: Tensor, dim: int = -1) -> tuple[Tensor, Tensor]:
     """Return (polar, azimuth) in radians of unit directions; azimuth in [0, 2 pi), 0 at the pole."""
     x, y, z = direction.unbind(dim)
-    polar = torch.atan2(safe.sqrt(x * x + y * y), z)
-    # Brought to size 1 first: the derivative of atan2 divides by x^2 + y^2, which underflows near the pole.
+    # Brought to size 1 first: squares underflow near the pole, and the derivative of atan2 divides by x^2 + y^2.
     size = torch.maximum(x.abs(), y.abs()).detach()
     at_pole = size < torch.finfo(size.dtype).tiny
-    azimuth = torch.atan2(safe.divide(y, size), torch.where(at_pole, torch.ones_like(x), safe.divide(x, size)))
+    unit_x, unit_y = safe.divide(x, size), safe.divide(y, size)
+    polar = torch.atan2(size * safe.sqrt(unit_x * unit_x + unit_y * unit_y), z)
+    azimuth = torch.atan2(unit_y, torch.where(at_pole, torch.ones_like(x), unit_x))
     azimuth = torch.where(at_pole, torch.zeros_like(azimuth), azimuth)
     full_turn = 2 * torch.pi
     azimuth = torch.where(azimuth < 0, azimuth + full_turn, azimuth)
-    # -1e-9 + 2 pi rounds to 2 pi in float32, which is azimuth 0 again.
-    return polar, torch.where(azimuth >= full_turn, torch.zeros_like(azimuth), azimuth)
+    # -1e-9 + 2 pi rounds to 2 pi in float32, which is azimuth 0 again, with the same gradient.
+    return polar, torch.where(azimuth >= full_turn, azimuth - azimuth.detach(), azimuth)
 
 
 def half_vector(light: Tensor, view: Tensor, dim: int = -3) -> Tensor:

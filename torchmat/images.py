@@ -14,7 +14,9 @@ from torchmat import atomic
 from torchmat.errors import DataError, RangeError, ShapeError, message
 
 if TYPE_CHECKING:
-    from OpenImageIO import ImageOutput, ImageSpec
+    from types import ModuleType
+
+    from OpenImageIO import ImageInput, ImageOutput, ImageSpec
 
 IMAGE_SUFFIXES = frozenset({".jpg", ".jpeg", ".png", ".exr", ".tif", ".tiff", ".hdr", ".bmp", ".tga", ".ppm"})
 MOVING_SUFFIXES = frozenset({".png", ".apng", ".gif"})
@@ -33,6 +35,13 @@ def _unreadable(path: str | Path, reason: str) -> DataError:
     return DataError(message(str(path), "the image", "be readable", reason.rstrip(".?"), step))
 
 
+def _reason(source: ModuleType | ImageInput) -> str:
+    try:
+        return source.geterror()
+    except UnicodeDecodeError:  # it quotes names out of the file, and those may be any bytes
+        return "its head is damaged"
+
+
 def _file_name(path: str | Path) -> str:
     """Return a path as OpenImageIO takes it: UTF-8, and whole (it would stop at a NUL and open another file)."""
     name = str(path)
@@ -49,6 +58,16 @@ def _as_stored() -> ImageSpec:
     return wish
 
 
+def _check_channels(path: str | Path, source: ImageInput) -> None:
+    """Raise DataError when an EXR has some of R, G and B but not all: the others would move into their places."""
+    if source.format_name() != "openexr" or source.spec().nchannels < 3:
+        return
+    names = source.spec().channelnames
+    if 0 < len({"R", "G", "B"} & set(names)) < 3:
+        fact = f"they are {', '.join(map(repr, names))}"
+        raise DataError(message(str(path), "channels", "include R, G and B, or none of them", fact, "Save it as RGB."))
+
+
 def read_image(path: str | Path) -> np.ndarray:
     """Return the pixels of an image file as [H, W, C] in the type they are stored in.
 
@@ -59,11 +78,16 @@ def read_image(path: str | Path) -> np.ndarray:
 
     source = oiio.ImageInput.open(_file_name(path), _as_stored())
     if source is None:
-        raise _unreadable(path, oiio.geterror())
+        raise _unreadable(path, _reason(oiio))
     try:
+        _check_channels(path, source)
         pixels = source.read_image(oiio.UNKNOWN)
         if source.has_error or pixels is None:
-            raise _unreadable(path, source.geterror())
+            raise _unreadable(path, _reason(source))
+    except MemoryError as error:
+        spec = source.spec()
+        fact = f"{spec.width} x {spec.height} with {spec.nchannels} channels do not fit into memory"
+        raise _unreadable(path, fact) from error
     finally:
         source.close()
     if pixels.ndim == 2:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from typing import TypeVar
 
 Item = TypeVar("Item")
@@ -15,3 +16,12 @@ def progress(items: Iterable[Item], what: str, total: int | None = None, show: b
 
     disable, delay = (None, _DELAY) if show is None else (not show, 0.0)
     return iter(tqdm(items, desc=what, total=total, disable=disable, leave=False, dynamic_ncols=True, delay=delay))
+
+
+@contextmanager
+def working(what: str, show: bool | None = None) -> Iterator[None]:
+    """Say on standard error what is being done, as long as it takes; `show` None means only on a terminal."""
+    from tqdm import tqdm
+
+    with tqdm(desc=what, total=1, disable=None if show is None else not show, leave=False, bar_format="{desc} {elapsed}"):
+        yield

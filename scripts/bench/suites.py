@@ -3,26 +3,27 @@
 from __future__ import annotations
 
 import statistics
-import tempfile
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-import numpy as np
+import auto
+import compare
 import objects
 import reliefs
+import scale
+import scene
 import shading_maps
+import solvers
 import spheres
 import torch
+from generated import large_btf
 from measure import SHARED, in_fresh_process, median_of, timed
 
 import torchmat as tm
-from torchmat.btf.btf import Btf, summarise
-from torchmat.btf.decode import Decoder
+from torchmat.btf import Btf
 from torchmat.fit.registry import FITTERS, resolve_options
 from torchmat.fit.training import make_training
-from torchmat.report.compare import DEFAULT_MODELS, parse_model
+from torchmat.report.compare import CLOSED_FORMS, parse_model
 
 _WALLPAPER = SHARED / "real" / "ubo2003_wallpaper"
 _SEEDS = range(5)
@@ -68,7 +69,7 @@ def accuracy() -> list[dict[str, Any]]:
             continue
         btf = tm.load_btf(path)
         extra = [f"{model}{',' if ':' in model else ':'}storage=png8" for model in ("ptm", "phong_srf:residual=half_light")]
-        for text in (*DEFAULT_MODELS, *extra):
+        for text in (*CLOSED_FORMS, *extra):
             rows.append(_row(name, btf, text, seeds))
             row = rows[-1]
             print(f"{name:18s} {text:42s} {row['bytes_per_texel']:5.0f} B  {row['fit']['seconds']:7.4f} s  "
@@ -169,55 +170,11 @@ def shading() -> list[dict[str, Any]]:
     return rows
 
 
-@contextmanager
-def _large_btf(size: int, lights: int, views: int) -> Iterator[Path]:
-    """Yield a folder with the raw codes of a generated 8-bit BTF: bumpy Lambert and a lobe, sRGB-encoded."""
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "pixels.raw"
-        light, view = _directions(lights), _directions(views)
-        light, view = np.tile(light, (views, 1)), np.repeat(view, lights, axis=0)
-        np.savez(Path(folder) / "directions.npz", light=light, view=view)
-        random = np.random.default_rng(0)
-        normal = np.stack((*random.uniform(-0.2, 0.2, (2, size, size)), np.ones((size, size)))).astype(np.float32)
-        normal /= np.linalg.norm(normal, axis=0)
-        albedo = random.uniform(0.2, 0.7, (3, size, size)).astype(np.float32)
-        pixels = np.memmap(path, np.uint8, "w+", shape=(len(light), 3, size, size))
-        for first in range(0, len(light), 32):
-            rows = slice(first, first + 32)
-            half = light[rows] + view[rows]
-            half /= np.linalg.norm(half, axis=1, keepdims=True)
-            n_dot_l = np.maximum(0, np.tensordot(light[rows].astype(np.float32), normal, 1))
-            n_dot_h = np.maximum(0, np.tensordot(half.astype(np.float32), normal, 1))
-            values = albedo * n_dot_l[:, None] + 0.2 * n_dot_h[:, None] ** 16
-            pixels[rows] = (np.minimum(values, 0.99) ** (1 / 2.2) * 255).round()
-        pixels.flush()
-        del pixels
-        yield Path(folder)
-
-
-def _directions(count: int) -> np.ndarray:
-    golden = np.pi * (3 - 5**0.5)
-    z = 1 - (np.arange(count) + 0.5) / count * 0.75
-    radius, azimuth = np.sqrt(1 - z * z), golden * np.arange(count)
-    return np.stack((radius * np.cos(azimuth), radius * np.sin(azimuth), z), axis=1)
-
-
-def open_large(folder: str, size: int) -> Btf:
-    """Open what `_large_btf` wrote, mapped into memory."""
-    with np.load(Path(folder) / "directions.npz") as table:
-        light, view = torch.from_numpy(table["light"]).float(), torch.from_numpy(table["view"]).float()
-    pixels = np.memmap(Path(folder) / "pixels.raw", np.uint8, "c", shape=(len(light), 3, size, size))
-    few = summarise(np.asarray(pixels[:1]), np.zeros((1, size, size), np.uint8))
-    counts = np.zeros(len(light), dtype=np.int64)
-    store = type(few)(pixels, None, counts, counts, counts.astype(np.uint8), counts.astype(np.uint8) + 255)
-    return Btf(store, light, view, Decoder(np.dtype(np.uint8), "srgb", 1.0))
-
-
 _LARGE = """
 import json, sys, time
 sys.path.insert(0, {here!r})
 import torchmat as tm
-from suites import open_large
+from generated import open_large
 from torchmat.machine import peak_memory_mb
 btf = open_large({folder!r}, {size})
 for block in btf.blocks(): pass
@@ -234,7 +191,7 @@ print(json.dumps(dict(read=read, fit=result.report["fit_seconds"], relative_erro
 def large() -> list[dict[str, Any]]:
     """phong_srf on a generated 256 x 256 BTF of 6561 images, against the time of reading the store once."""
     rows, size = [], 256
-    with _large_btf(size, 81, 81) as folder:
+    with large_btf(size, 81, 81) as folder:
         for residual in ("half", "half_light"):
             code = _LARGE.format(here=str(Path(__file__).parent), folder=str(folder), size=size, residual=residual)
             runs = in_fresh_process(code, 5)
@@ -249,7 +206,8 @@ def large() -> list[dict[str, Any]]:
 SUITES = {
     "accuracy": accuracy, "pipeline": pipeline, "start_up": start_up, "loading": loading, "shading": shading, "large": large,
     "geometry": reliefs.geometry, "relief": reliefs.relief, "distribution": reliefs.distribution,
+    "auto": auto.auto, "scale": scale.scale, "scene": scene.scene,
     "shading_maps": shading_maps.shading_maps,
-    "objects": objects.objects,
+    "objects": objects.objects, "compare": compare.compare, "solvers": solvers.solvers,
     "sphere_images": spheres.sphere_images, "sphere_sizes": spheres.sphere_sizes, "sphere_shading": spheres.sphere_shading,
 }

@@ -7,7 +7,7 @@ from itertools import groupby
 
 from measure import RESULTS
 
-from torchmat.report.tables import number, text_table
+from torchmat.report.tables import comparison_table, number, text_table
 
 
 def _rows(name: str) -> list[dict]:
@@ -34,10 +34,18 @@ def accuracy() -> None:
         print(text_table(head, cells))
 
 
+def comparisons() -> None:
+    """Print one table a data set: what a network buys beside all else."""
+    rows = _rows("compare")
+    for data in dict.fromkeys(row["data"] for row in rows):
+        print(f"\n### {data}: speed against error\n")
+        print(comparison_table([row for row in rows if row["data"] == data]))
+
+
 def others() -> None:
     """Print every other suite as it is."""
     for name in ("pipeline", "loading", "shading", "large", "start_up", "geometry", "relief", "distribution", "shading_maps",
-                 "sphere_images", "sphere_sizes", "sphere_shading", "objects"):
+                 "sphere_images", "sphere_sizes", "sphere_shading", "objects", "solvers"):
         # Rows of one suite that measure different things stand in tables of their own.
         for _, alike in groupby(_rows(name), key=tuple):
             rows = list(alike)
@@ -49,4 +57,5 @@ def others() -> None:
 
 if __name__ == "__main__":
     accuracy()
+    comparisons()
     others()

@@ -8,10 +8,11 @@ import torch
 from support import all_pairs, assert_close, hemisphere, plausible_images
 
 from torchmat import Btf, RangeError, ShapeError
+from torchmat.btf import store as store_module
 from torchmat.btf import stream as stream_module
 from torchmat.btf.btf import unique_directions
 from torchmat.btf.decode import Decoder
-from torchmat.btf.store import CLIPPED, INVALID, summarise
+from torchmat.btf.store import CLIPPED, INVALID, PixelStore, summarise
 
 UP = [[0.0, 0.0, 1.0]]
 
@@ -220,3 +221,59 @@ def test_samples_can_be_chosen_by_number_or_mask(small_btf):
         small_btf.images(mask[:5])
     with pytest.raises(RangeError, match="sample numbers must be whole"):
         small_btf.images(torch.tensor([0.5]))
+
+
+def test_a_window_holds_the_same_samples_of_its_texels():
+    light, view = all_pairs(hemisphere(((0, 1), (40, 4))), hemisphere(((0, 1), (50, 3))))
+    images = torch.from_numpy(plausible_images(light, view, 7, 9))
+    btf = Btf.from_tensors(images, light, view)
+    part = btf.window(2, 3, 4, 5)
+    assert (len(part), part.height, part.width) == (len(btf), 4, 5)
+    assert torch.equal(part.images(range(len(btf)), torch.float64), images[:, :, 2:6, 3:8])
+    blocks = [block.images.clone() for block in part.blocks(dtype=torch.float64)]
+    assert torch.equal(torch.cat(blocks), images[:, :, 2:6, 3:8])
+    assert part.value_range == (images[:, :, 2:6, 3:8].float().min(), images[:, :, 2:6, 3:8].float().max())
+    assert part.lights is btf.lights
+    assert np.shares_memory(part._store.pixels, btf._store.pixels)
+    again = part.window(1, 1, 2, 2)
+    assert torch.equal(again.image(5), images[5, :, 3:5, 4:6].float())
+    assert torch.equal(btf.window(1, 0, 6, 9, step=4).image(3), images[3, :, 1:7:4, ::4].float())
+
+
+def test_a_window_counts_its_own_flags():
+    btf = flagged_btf()
+    left, right = btf.window(0, 0, 1, 1), btf.window(0, 1, 1, 1)
+    assert (left.clipped_share, left.invalid_share) == (0, 0.2)
+    assert (right.clipped_share, right.invalid_share) == (0.2, 0)
+    assert left.weights(range(5)).flatten().tolist() == [1, 1, 1, 0, 1]
+    assert right.weights(range(5)).flatten().tolist() == [1, 0.25, 1, 1, 1]
+    assert [list(samples) for samples, _ in left.weight_blocks()] == [[0, 1, 2, 3, 4]]
+    assert left.clip_level == btf.clip_level
+
+
+@pytest.mark.parametrize("window", [(0, 0, 2, 1), (-1, 0, 1, 1), (0, 1, 1, 2), (0, 0, 0, 1), (0, 0, 1, 0)])
+def test_a_window_beyond_the_images_is_refused(window):
+    with pytest.raises(RangeError, match="window's (rows|columns) must lie within the images"):
+        flagged_btf().window(*window)
+
+
+def test_a_window_is_given_in_whole_texels():
+    with pytest.raises(RangeError, match="be whole numbers"):
+        flagged_btf().window(0.0, 0, 1, 1)
+    with pytest.raises(RangeError, match="be whole numbers"):
+        flagged_btf().window(0, 0, 1, 1, step=0)
+
+
+def test_a_window_of_a_mapped_file_lets_its_pages_go(tmp_path, monkeypatch):
+    monkeypatch.setattr(store_module, "_RELEASE_BYTES", 0)
+    images = np.random.default_rng(0).uniform(0, 1, (40, 3, 32, 32)).astype(np.float32)
+    images.tofile(tmp_path / "pixels")
+    mapped = np.memmap(tmp_path / "pixels", np.float32, "c", shape=images.shape)
+    none = np.zeros(40, np.int64)
+    store = PixelStore(mapped, None, none, none)
+    up = torch.tensor(UP).repeat(40, 1)
+    part = Btf(store, up, up, Decoder(np.float32, "linear", 1.0)).window(20, 10, 12, 22)
+    monkeypatch.setattr(stream_module, "BLOCK_VALUES", 3 * 12 * 22 * 7)
+    found = torch.cat([block.images.clone() for block in part.blocks()])
+    assert torch.equal(found, torch.from_numpy(images[:, :, 20:, 10:]))
+    assert torch.equal(part.image(39), torch.from_numpy(images[39, :, 20:, 10:]))

@@ -28,6 +28,7 @@ CASES = {
             ("half", "per_light", "ashikhmin_shirley"),
         )
     },
+    "neural": ("neural", {"hidden": 12, "effort": 0.002}),
     "phong_srf_no_ridge": ("phong_srf", {"residual": "half_light", "ridge": 0.0}),
 }
 

@@ -23,6 +23,7 @@ FIGURES = {"mse", "relative_error", "psnr_db", "psnr_log_db", "ssim", "delta_e"}
 OPTIONS = {
     "pca": {"components": 4}, "local_pca": {"clusters": 3, "components": 2},
     "distribution": {"lobes": 1, "fresnel": "no", "rotation": "no", "specular_size": 8, "effort": 0.05},
+    "neural": {"latent": 4, "hidden": 8, "effort": 0.01},
 }
 LIGHT, VIEW = all_pairs(hemisphere(), hemisphere(((0, 1), (30, 5), (60, 5))))
 
@@ -52,7 +53,7 @@ def test_the_report_has_the_keys_of_the_design(model, btf):
         assert FIGURES <= set(report[part])
         assert all(math.isfinite(report[part][figure]) for figure in FIGURES)
     assert report["model"] == model and report["texels"] == 42 and report["samples"] == len(LIGHT)
-    assert report["stop_reason"] == ("step limit" if model == "distribution" else "converged")
+    assert report["stop_reason"] == ("step limit" if model in ("distribution", "neural") else "converged")
     assert set(report["versions"]) >= {"python", "torch", "torchmat"}
     json.dumps(report, allow_nan=False)
     figures = report["held_out"]

@@ -22,6 +22,7 @@ OPTIONS = {
     "distribution": {
         "lobes": 1, "fresnel": "no", "rotation": "no", "specular_size": 8, "effort": 0.05, "storage": "half",
     },
+    "neural": {"latent": 4, "hidden": 12, "effort": 0.03, "storage": "half"},
 }
 # Gain in dB on held-out samples over the flat fit. Measured: texture 2.9 (it has no normals), lambert 15.4, ptm 15.7,
 # lptm 15.7, hsh 16.2, phong_srf 3.6, pca 4.3 and local_pca 3.7 (90 samples are few for tables over directions),
@@ -97,9 +98,9 @@ def test_double_precision_stays_double(model):
     assert all(value.dtype == torch.float64 for value in result.material.maps.values())
     indices = torch.arange(0, 90, 7)
     double, single = (predict(one.material, scene.btf(), indices) for one in (result, fitted(model, True)))
-    if model in ("pca", "local_pca"):
-        # Texels between two clusters, and components of nearly one weight, part otherwise on the last bit: single
-        # texels differ by up to 0.27, the error does not.
+    if model in ("pca", "local_pca", "neural"):
+        # Texels between two clusters, components of nearly one weight, and hundreds of steps through a network part
+        # otherwise on the last bit: single texels differ by up to 0.27 (the network's by 0.01), the error does not.
         errors = [one.report["held_out"]["psnr_db"] for one in (result, fitted(model, True))]
         assert abs(errors[0] - errors[1]) < 0.3
     else:

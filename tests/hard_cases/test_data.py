@@ -25,6 +25,8 @@ def options_of(model, samples=99, texels=99):
         return {"clusters": min(2, texels), "components": min(2, texels, 3 * samples)}
     if model == "distribution":  # few steps: that nothing breaks shows at once
         return {"lobes": 1, "fresnel": "yes", "rotation": "yes", "specular_size": 8, "effort": 0.02}
+    if model == "neural":
+        return {"latent": 2, "hidden": 4, "effort": 0.002}
     return {}
 
 
@@ -67,8 +69,8 @@ def test_9_a_black_texel(model):
     images = plausible_images(LIGHT, VIEW)
     images[:, :, 2, 1] = 0
     result = checked(btf_of(images), model, **({"residual": "half_light"} if model == "phong_srf" else {}))
-    # These share something with the other texels, and the steps of the last are counted.
-    if model not in ("phong_srf", "local_pca", "distribution"):
+    # These share something with the other texels, and the steps of the last two are counted.
+    if model not in ("phong_srf", "local_pca", "distribution", "neural"):
         shaded = predict(result.material, btf_of(images), torch.arange(len(LIGHT)))
         assert float(shaded[:, :, 2, 1].abs().max()) < 1e-6
 

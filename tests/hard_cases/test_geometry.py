@@ -21,6 +21,7 @@ every_model = pytest.mark.parametrize("name, options", CASES)
 OPTIONS = {
     "pca": {"components": 2}, "local_pca": {"clusters": 2, "components": 2},
     "distribution": {"lobes": 1, "fresnel": "yes", "rotation": "yes", "specular_size": 8, "effort": 0.02},
+    "neural": {"latent": 2, "hidden": 4, "effort": 0.002},
 }
 LIGHT, VIEW = all_pairs(hemisphere(), hemisphere(((0, 1), (30, 3), (60, 4))))
 

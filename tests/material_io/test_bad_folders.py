@@ -118,7 +118,7 @@ def test_a_manifest_that_is_none(folder, content):
 
 
 TAMPERED = {
-    "version": (lambda m: m.update(version=2), r"version must be 1; it is 2\. Update torchmat"),
+    "version": (lambda m: m.update(version=3), r"version must be 1 or 2; it is 3\. Update torchmat"),
     "version text": (lambda m: m.update(version="1"), "version must be 1"),
     "format": (lambda m: m.update(format="gltf"), "format must be 'torchmat-material'"),
     "model": (lambda m: m.update(model="lambret"), "Did you mean 'lambert'"),

@@ -38,6 +38,7 @@ EXAMPLE_OPTIONS: dict[str, list[dict]] = {
         {"slices": 3, "brdf": "ggx", "overflow": "scale", "azimuths": 4, "ambient_level": 0.05},
     ],
     "sphere_images": [{"angles_deg": [0.0, 45.0, 90.0]}, {"angles_deg": [0.0, 37.25, 75.0, 120.0, 150.0]}],
+    "neural": [{"latent": 3, "hidden": 5, "layers": 1}, {"latent": 2, "hidden": 4, "layers": 3}],
 }
 LOBES = {
     "phong": (0.4, 0.3, 0.2, 0.3, 0.2, 0.25, math.log(20.0)),
@@ -105,6 +106,8 @@ def _table(name: str, options: dict, spec: MapSpec) -> torch.Tensor:
         return torch.tensor([0.5], dtype=torch.float64)
     if (name, spec.name) == ("shading_map", "reflectance"):
         return 0.05 + 0.1 * torch.rand(1, 2, 36, dtype=torch.float64)
+    if name == "neural":
+        return _network(options)[int(spec.name.removeprefix("layer_"))]
     if (name, spec.name) == ("sphere_images", "images"):
         return 0.4 * torch.rand(spec.channels, 6, 6, dtype=torch.float64)
     if (name, spec.name) == ("sphere_images", "turn"):
@@ -112,6 +115,15 @@ def _table(name: str, options: dict, spec: MapSpec) -> torch.Tensor:
         count = len(options["angles_deg"])
         return torch.rand(1, 1 if count < 4 else 2 * (count - 1), 3 if count < 4 else 5, dtype=torch.float64)
     pytest.fail(f"tests/models/examples.py has no example of the shared map {spec.name!r} of model {name!r}")
+
+
+def _network(options: dict) -> list[torch.Tensor]:
+    """Return tables [1, outputs, inputs + 1] of a network whose last biases keep most of its output positive."""
+    hidden = [options["hidden"]] * options["layers"]
+    widths = zip([*hidden, 3], [options["latent"] + 8, *hidden], strict=True)
+    tables = [torch.randn(1, outputs, inputs + 1, dtype=torch.float64) / inputs**0.5 for outputs, inputs in widths]
+    tables[-1][..., -1] = 0.6
+    return tables
 
 
 def make_maps(name: str, options: dict | None, height: int = 2, width: int = 3, dtype=torch.float64, seed: int = 0) -> dict:

@@ -33,9 +33,8 @@ def cosine(light, view):
     return [light[2]]
 
 
-def _legendre(degree, order, x):
-    """Closed forms without the Condon-Shortley phase (a table, not the recurrence of the code under test)."""
-    s = math.sqrt(max(0.0, 1 - x * x))
+def _legendre(degree, order, x, s):
+    """Closed forms without the Condon-Shortley phase (a table, not the recurrence of the code under test); s is sqrt(1 - x^2)."""
     return {
         (0, 0): 1.0,
         (1, 0): x, (1, 1): s,
@@ -49,6 +48,7 @@ def hemispherical(terms):
 
     def evaluate(light, view):
         azimuth = math.atan2(light[1], light[0])
+        sine = 2 * math.sqrt(max(0.0, light[2] * (1 - light[2])))  # of x itself it would be 0 near the horizon
         found = []
         for degree in range(math.isqrt(terms)):
             for order in range(-degree, degree + 1):
@@ -61,7 +61,7 @@ def hemispherical(terms):
                     turn = math.sqrt(2) * math.cos(m * azimuth)
                 elif order < 0:
                     turn = math.sqrt(2) * math.sin(m * azimuth)
-                found.append(scale * turn * _legendre(degree, m, 2 * light[2] - 1))
+                found.append(scale * turn * _legendre(degree, m, 2 * light[2] - 1, sine))
         return found
 
     return evaluate

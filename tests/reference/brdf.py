@@ -85,15 +85,19 @@ def ggx_anisotropic(p, light, view):
     return [p[c] / math.pi + lobe * _schlick(p[3 + c], dot(h, light)) for c in range(3)]
 
 
+def _tangent(cosine):
+    return math.sqrt(max(0.0, (1 - cosine) * (1 + cosine))) / cosine
+
+
 def ggx(p, light, view):
     """Walter et al. 2007, eq. 33, in its isotropic form; G1 is eq. 34."""
     a = math.exp(p[6])
     h = half_of(light, view)
-    tangent = math.tan(math.acos(min(1.0, h[2])))
+    tangent = _tangent(h[2])
     d = a**2 / (math.pi * h[2] ** 4 * (a**2 + tangent**2) ** 2)
     g = 1.0
     for w in (light, view):
-        g *= 2 / (1 + math.sqrt(1 + (a * math.tan(math.acos(min(1.0, w[2])))) ** 2))
+        g *= 2 / (1 + math.sqrt(1 + (a * _tangent(w[2])) ** 2))
     lobe = d * g / (4 * light[2] * view[2])
     return [p[c] / math.pi + lobe * _schlick(p[3 + c], dot(h, light)) for c in range(3)]
 

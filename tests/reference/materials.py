@@ -201,10 +201,20 @@ def _shading_map(maps, options, light, view, row, column):
     return found
 
 
+def _neural(maps, options, light, view, row, column):
+    """A perceptron of latent numbers, light, view and the half vector's x, y; its output is the root of the value."""
+    known = [*maps["latent"][:, row, column], *light, *view, *half_vector(light, view)[:2]]
+    for number in range(options["layers"] + 1):
+        if number > 0:
+            known = [max(0.0, x) for x in known]
+        known = [_dot(weights[:-1], known) + weights[-1] for weights in maps[f"layer_{number}"][0]]
+    return [max(0.0, x) ** 2 for x in known]
+
+
 VALUES = {
     "texture": _texture, "lambert": _lambert, "ptm": _ptm, "lptm": _lptm, "hsh": _hsh, "phong_srf": _phong_srf,
     "pca": _pca, "local_pca": _local_pca, "distribution": _distribution,
-    "sphere_images": _sphere_images, "shading_map": _shading_map,
+    "sphere_images": _sphere_images, "shading_map": _shading_map, "neural": _neural,
 }
 
 

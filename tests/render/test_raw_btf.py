@@ -11,9 +11,9 @@ from reference.raw_btf import around, shaded
 from support import all_pairs, assert_close, hemisphere, plausible_images
 
 from torchmat import Btf, DataError, RangeError, ShapeError, load_btf, sample_path
+from torchmat.btf.neighbours import Triangulation
 from torchmat.frames import from_polar
 from torchmat.geometry.relief import texel_centres
-from torchmat.render.neighbours import Triangulation
 from torchmat.render.raw_btf import RawBtf
 
 HEIGHT, WIDTH = 5, 4

@@ -107,7 +107,7 @@ def test_a_row_holds_error_bytes_and_seconds(btf):
         assert row["bytes_per_texel"] == {"texture": 6, "hsh": 12}[report["model"]]
         assert row["fit_seconds"] > 0 and row["shade_mtexels_per_s"] > 0
         assert set(COMPARE_COLUMNS) <= set(row)
-    assert rows[1]["report"]["options"] == {"terms": 4, "storage": "png8"}
+    assert rows[1]["report"]["options"] == {"terms": 4, "storage": "png8", "solver": "closed_form"}
 
 
 def test_one_split_for_all(btf):
@@ -166,7 +166,7 @@ def test_an_earlier_comparison_is_replaced_and_anything_else_refused(btf, tmp_pa
     (folder / "notes.txt").write_text("mine", encoding="utf-8")
     with pytest.raises(DataError, match=r"out: the target must be empty or an earlier comparison and nothing else; .* first 'notes.txt'"):
         write_comparison(rows, folder)
-    assert (folder / "notes.txt").read_text("utf-8") == "mine" and len(list(folder.iterdir())) == 6
+    assert (folder / "notes.txt").read_text("utf-8") == "mine" and len(list(folder.iterdir())) == 7
     with pytest.raises(DataError, match="it is a file"):
         write_comparison(rows, folder / "notes.txt")
 

@@ -20,6 +20,8 @@ from torchmat.brdf.lobe import COLOURS, LOG_EXPONENT_RANGE, Lobe, column
 
 LOG_ROUGHNESS_RANGE = (math.log(1e-3), 0.0)
 _NO_LIMIT = math.inf
+# Of half vector and light, unless there is no half vector: the derivative of its inverse square must fit float32.
+_LEAST_COSINE = 1e-12
 
 
 def _half(light: Tensor, view: Tensor) -> tuple[Tensor, Tensor]:
@@ -28,7 +30,8 @@ def _half(light: Tensor, view: Tensor) -> tuple[Tensor, Tensor]:
     half = safe.normalise(total)
     # H.L of unit vectors is |L + V| / 2, which does not cancel where they are nearly opposite at the horizon. The
     # derivative of a length is its direction, so H is held fixed: through it the way back would overflow there.
-    return half, (half.detach() * total).sum(dim=-3, keepdim=True) / 2
+    cosine = (half.detach() * total).sum(dim=-3, keepdim=True) / 2
+    return half, torch.where(cosine > 0, cosine.clamp(min=_LEAST_COSINE), cosine)
 
 
 def _fresnel(reflectance: Tensor, cosine: Tensor) -> Tensor:
@@ -95,8 +98,11 @@ def _ashikhmin_shirley(parameters: Tensor, light: Tensor, view: Tensor) -> Tenso
     exponent = safe.divide(along * h_dot_u**2 + across * h_dot_v**2, x * x + y * y)
     n_dot_l, n_dot_v = light[..., 2:3, :, :], view[..., 2:3, :, :]
     scale = torch.sqrt((along + 1) * (across + 1)) / (8 * math.pi)
-    # (N.L) / (H.L max(N.L, N.V)) as two quotients: near the horizon the product of the denominators underflows.
-    falloff = safe.divide(safe.divide(n_dot_l, torch.maximum(n_dot_l, n_dot_v)), h_dot_l)
+    # (N.L) / (H.L max(N.L, N.V)) as two quotients: near the horizon the product of the denominators underflows. Where
+    # N.L is the larger one the first is 1, whose two derivatives would overflow before they cancel.
+    lower = n_dot_l < n_dot_v
+    share = torch.where(lower, safe.divide(n_dot_l, torch.where(lower, n_dot_v, 1.0)), 1.0)
+    falloff = safe.divide(share, h_dot_l)
     lobe = (math.pi * scale * safe.power(z, exponent) * falloff) * _fresnel(specular, h_dot_l)
     return diffuse * n_dot_l + lobe
 

@@ -107,7 +107,7 @@ def _as_numbers(where: str, label: str, given: object) -> list[float]:
     """Return one or more numbers as a list; raises RangeError for what is none."""
     try:
         return torch.as_tensor(given, dtype=torch.float64).reshape(-1).tolist()
-    except (TypeError, ValueError, RuntimeError) as error:
+    except (TypeError, ValueError, RuntimeError, OverflowError) as error:
         raise RangeError(message(where, label, "be numbers", f"it is {given!r}: {error}")) from error
 
 
@@ -120,7 +120,7 @@ def _check_bounds(where: str, lobe: Lobe, parameters: Tensor) -> None:
         outside = (values < low - slack * abs(low)) | (values > high + slack * abs(high))
         if not bool(outside.any()):
             continue
-        first = float(values[outside].flatten()[0])
-        if label.startswith("log_"):
-            label, low, high, first = label.removeprefix("log_"), math.exp(low), math.exp(high), math.exp(first)
+        first = values[outside].detach().flatten()[0].double()
+        if label.startswith("log_"):  # of a logarithm above 709 Python's own exponential has no value
+            label, low, high, first = label.removeprefix("log_"), math.exp(low), math.exp(high), first.exp()
         raise RangeError(message(where, label, f"lie in [{low:.6g}, {high:.6g}]", f"it is {first:.6g}"))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import torch
@@ -38,8 +39,8 @@ def load_brdf(path: str | Path, dtype: torch.dtype = torch.float32) -> Brdf:
     """
     # A file that is damaged in its head is still reported as the kind that its name says, in that reader's words.
     kind = brdf_kind(path) or SUFFIXES.get(Path(path).suffix.lower())
-    if Path(path).is_file() and kind:
+    if os.path.isfile(path) and kind:
         return (read_merl if kind == "merl" else read_rgl)(path, dtype)
-    fact = "it begins like neither" if Path(path).is_file() else "there is no such file"
+    fact = "it begins like neither" if os.path.isfile(path) else "there is no such file"
     step = "Give a MERL .binary or an RGL .bsdf file; formulas are made with AnalyticBrdf."
     raise DataError(message(str(path), "the file", "be a measured BRDF of MERL or RGL", fact, step))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+import hashlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
@@ -16,6 +18,8 @@ from torchmat.errors import RangeError, ShapeError, check_finite, check_unit, me
 
 # Little, so that unclipped samples decide where there are any; not 0, or a texel clipped throughout would turn black.
 CLIPPED_WEIGHT = 0.05
+_LOOKED_AT = 16  # images whose codes tell one BTF from another
+_CODE = 1 << 20  # above all differences of rounded coordinates
 _DIRECTION_DECIMALS = 4  # directions closer than about 1e-4 (0.006 degrees) are one direction
 
 
@@ -33,12 +37,15 @@ class Source:
 def unique_directions(directions: Tensor) -> tuple[Tensor, Tensor]:
     """Return the distinct rows of [n, 3] unit vectors, from the pole outward, and each row's index among them."""
     rounded = torch.round(directions.double(), decimals=_DIRECTION_DECIMALS) + 0.0  # + 0.0 turns -0.0 into 0.0
-    x, y, z = rounded.unbind(1)
-    keys = torch.stack((-z, torch.atan2(y, x), x, y), dim=1)
-    distinct, inverse = torch.unique(keys, dim=0, return_inverse=True)
+    steps = (rounded * 10**_DIRECTION_DECIMALS).round().long()
+    # One number a direction: torch compares rows of several ten times as slowly.
+    code = (steps * torch.tensor([_CODE**2, _CODE, 1])).sum(dim=1)
+    distinct, inverse = torch.unique(code, return_inverse=True)
     first = torch.full((len(distinct),), len(directions), dtype=torch.long)
     first.scatter_reduce_(0, inverse, torch.arange(len(directions)), reduce="amin")
-    return directions[first], inverse
+    x, y, z = rounded[first].numpy().T
+    order = torch.from_numpy(np.lexsort((y, x, np.arctan2(y, x), -z)))
+    return directions[first[order]], order.argsort()[inverse]
 
 
 def _switched_off(where: str, weight: Tensor, shape: tuple[int, int, int]) -> Tensor:
@@ -82,6 +89,8 @@ class Btf:
         self._validate()
         self.lights, self.light_index = unique_directions(light)
         self.views, self.view_index = unique_directions(view)
+        # Codes that can clip do so somewhere, whether or not this texel or that window shows it.
+        self.may_clip = decoder.full_code is not None or bool(store.clipped.any())
 
     def _validate(self) -> None:
         where, count = self.source.path, len(self._store.pixels)
@@ -133,6 +142,49 @@ class Btf:
         pixels = images.contiguous().numpy()
         return cls(summarise(pixels, flags), light.to(dtype), view.to(dtype), Decoder(pixels.dtype, "linear", 1.0))
 
+    def window(self, top: int, left: int, height: int, width: int, step: int = 1) -> Btf:
+        """Return the same samples of a part of the texels, or of every `step`-th of them in rows and columns.
+
+        It shares the pixels with this Btf, so it costs no memory and is read from the same file. Raises RangeError for
+        a window that does not lie within the images.
+        """
+        for name, first, length, whole in (("rows", top, height, self.height), ("columns", left, width, self.width)):
+            if not all(isinstance(n, int) for n in (first, length, step)) or step < 1:
+                fact = f"they are {first!r}, {length!r} and step {step!r}"
+                raise RangeError(message(self.source.path, f"the window's {name}", "be whole numbers", fact))
+            if not (0 <= first and 0 < length and first + length <= whole):
+                fact = f"they are {first} to {first + length} of {whole}"
+                hint = "Give top, left, height and width in texels."
+                raise RangeError(message(self.source.path, f"the window's {name}", "lie within the images", fact, hint))
+        part = copy.copy(self)
+        part._store = self._store.window(slice(top, top + height, step), slice(left, left + width, step))
+        return part
+
+    def identity(self) -> str:
+        """Return a text that tells other data apart: of directions, ranges and counts, and of some images' codes."""
+        store = self._store
+        digest = hashlib.sha256(repr((store.pixels.shape, store.pixels.dtype.str, self._decoder.encoding)).encode())
+        digest.update(repr((float(self._decoder.exposure), self.clipped_weight)).encode())
+        arrays = [self.light.numpy(), self.view.numpy(), store.clipped, store.invalid]
+        arrays += [array for array in (store.low, store.high) if array is not None]
+        chosen = np.linspace(0, len(self) - 1, min(len(self), _LOOKED_AT)).round().astype(int)
+        arrays += [part[row] for part in (store.pixels, store.flags) if part is not None for row in chosen]
+        for array in arrays:
+            digest.update(np.ascontiguousarray(array).tobytes())
+        return digest.hexdigest()
+
+    def picked(self, indices: Sequence[int] | Tensor) -> Btf:
+        """Return a Btf of chosen samples, whose codes are copied; `indices` are sample numbers or a bool mask."""
+        rows = self._rows(indices)
+        part = copy.copy(self)
+        part._store = self._store.picked(rows)
+        part.light, part.view = self.light[rows], self.view[rows]
+        kept, part.light_index = self.light_index[rows].unique(return_inverse=True)
+        part.lights = self.lights[kept]
+        kept, part.view_index = self.view_index[rows].unique(return_inverse=True)
+        part.views = self.views[kept]
+        return part
+
     def __len__(self) -> int:
         return len(self._store.pixels)
 
@@ -178,7 +230,7 @@ class Btf:
     @property
     def value_range(self) -> tuple[float, float]:
         """Smallest and largest linear value over all images."""
-        ends = np.array([self._store.low.min(), self._store.high.max()]).astype(self._store.pixels.dtype)
+        ends = np.array(self._store.ends()).astype(self._store.pixels.dtype)
         low, high = self._decoder.into(ends, torch.empty(2)).tolist()
         return low, high
 
@@ -208,6 +260,8 @@ class Btf:
         """Return chosen images [k, 3, H, W], linear; `indices` are sample numbers or a mask, bool [sample]."""
         rows = self._rows(indices)
         codes = np.ascontiguousarray(self._store.pixels[rows])
+        if len(rows):
+            self._store.release(range(int(rows.min()), int(rows.max()) + 1))
         return self._decoder.into(codes, torch.empty(codes.shape, dtype=dtype))
 
     def weights(self, indices: Sequence[int] | Tensor) -> Tensor:
@@ -235,8 +289,7 @@ class Btf:
     def clip_level(self) -> float:
         """The linear value of a clipped channel; infinite for data that does not clip."""
         # Averages of clipped codes are stored as floating point, and are still known by their flags.
-        clips = self._decoder.full_code is not None or self._store.clipped.any()
-        return (1 - 1e-6) / self._decoder.exposure if clips else float("inf")
+        return (1 - 1e-6) / self._decoder.exposure if self.may_clip else float("inf")
 
     def _to_weight(self, flags: np.ndarray) -> Tensor:
         table = torch.tensor([1.0, self.clipped_weight, 0.0])

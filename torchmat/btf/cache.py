@@ -8,28 +8,32 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
+import io
 import json
 import math
 import os
 import re
 import shutil
 import tempfile
+import zlib
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
 
 from torchmat import atomic
 from torchmat.btf.listing import Listing
-from torchmat.btf.pixels import Normaliser, PixelOptions, decode_files, read_pixels
+from torchmat.btf.pixels import Normaliser, PixelOptions, checksum, decode_files, read_pixels
 from torchmat.btf.source import Folder, Zip
 from torchmat.btf.store import PixelStore
 from torchmat.errors import DataError, RangeError, message
+from torchmat.text_file import read_text
 
-_FORMAT = 2
+_FORMAT = 3
 _HEADER, _TABLE, _PIXELS, _FLAGS = "header.json", "table.npz", "pixels.raw", "flags.raw"
 _STORE_NAME = re.compile("[0-9a-f]{24}")
 _SPOT_BYTES = 8_000_000  # of a cached store are held against its table; more would be felt on each load
@@ -85,10 +89,14 @@ def _write(source: Folder | Zip, listing: Listing, folder: Path, options: PixelO
     np.savez(folder / _TABLE, light=listing.light.numpy(), view=listing.view.numpy(), files=files, **table)
     header = {
         "format": _FORMAT, "fingerprint": source.fingerprint, "kind": listing.kind, "source": str(source.path),
-        "shape": shape, "dtype": normalise.out_dtype.name,
+        "shape": shape, "dtype": normalise.out_dtype.name, "table": zlib.crc32((folder / _TABLE).read_bytes()),
         "linear": options.downscale > 1, "flagged": bool(table["clipped"].any() or table["invalid"].any()),
     }
-    (folder / _HEADER).write_text(json.dumps(header))
+    (folder / _HEADER).write_text(json.dumps({**header, "checksum": _checksum_of(header)}))
+
+
+def _checksum_of(header: dict[str, Any]) -> int:
+    return zlib.crc32(json.dumps(header).encode())
 
 
 def _require_space(folder: Path, size: int) -> None:
@@ -112,31 +120,39 @@ class OpenStore:
 
 def _open(folder: Path, fingerprint: str) -> OpenStore | None:
     """Map the store in `folder`; return None when it is of another source, of another format or not whole."""
-    header = json.loads((folder / _HEADER).read_text())
+    header = json.loads(read_text(folder / _HEADER))
+    if header.pop("checksum") != _checksum_of(header):
+        return None
     if header["format"] != _FORMAT or header["fingerprint"] != fingerprint:
         return None
     shape, dtype = tuple(header["shape"]), np.dtype(header["dtype"])
     if (folder / _PIXELS).stat().st_size != math.prod(shape) * dtype.itemsize:
         return None
-    # Opened here, because np.load leaves a damaged file open.
-    with open(folder / _TABLE, "rb") as stream, np.load(stream, allow_pickle=False) as table:
+    if not (folder / _TABLE).is_file():  # a device has no end
+        return None
+    data = (folder / _TABLE).read_bytes()
+    if zlib.crc32(data) != header["table"]:
+        return None
+    with np.load(io.BytesIO(data), allow_pickle=False) as table:
         arrays = {name: table[name] for name in table.files}
     # Copy-on-write rather than read-only: torch refuses to wrap memory that it may not write to.
     pixels = np.memmap(folder / _PIXELS, dtype, "c", shape=shape)
     flags = np.memmap(folder / _FLAGS, np.uint8, "c", shape=(shape[0], *shape[2:])) if header["flagged"] else None
     store = PixelStore(pixels, flags, arrays["clipped"], arrays["invalid"], arrays["low"], arrays["high"])
-    if any(len(array) != shape[0] for array in arrays.values()) or not _matches_table(store):
+    if any(len(array) != shape[0] for array in arrays.values()) or not _matches_table(store, arrays["checksum"]):
         return None
     light, view = torch.from_numpy(arrays["light"]), torch.from_numpy(arrays["view"])
     listing = Listing(header["kind"], tuple(arrays["files"].tolist()), light, view)
     return OpenStore(store, listing, header["linear"], True)
 
 
-def _matches_table(store: PixelStore) -> bool:
-    """Compare the ranges of a few images with the table: pages that a power cut lost read as zeros."""
+def _matches_table(store: PixelStore, checksums: np.ndarray) -> bool:
+    """Compare a few images with the table: pages that a power cut lost read as zeros."""
     count = max(1, min(16, len(store.pixels), _SPOT_BYTES // store.pixels[0].nbytes))
     rows = np.linspace(len(store.pixels) - 1, 0, count).astype(int)
-    return all(store.pixels[r].min() == store.low[r] and store.pixels[r].max() == store.high[r] for r in rows)
+    clear = np.zeros(store.pixels.shape[2:], np.uint8)
+    flags = [clear if store.flags is None else store.flags[row] for row in rows]
+    return all(checksum(store.pixels[row], marks) == checksums[row] for row, marks in zip(rows, flags, strict=True))
 
 
 def _usable(folder: Path, fingerprint: str) -> OpenStore | None:

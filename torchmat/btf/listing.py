@@ -14,6 +14,7 @@ from torchmat import frames
 from torchmat.btf.source import Folder, Zip
 from torchmat.errors import DataError, message
 from torchmat.images import IMAGE_SUFFIXES
+from torchmat.text_file import decode_text
 
 
 @dataclass(frozen=True)
@@ -40,13 +41,7 @@ def from_degrees(polar_deg: list[float], azimuth_deg: list[float]) -> Tensor:
 
 def read_text(source: Folder | Zip, name: str) -> str:
     """Return a text file in UTF-8 (with or without a byte-order mark) or UTF-16 (with one)."""
-    data = source.read(name)
-    encoding = "utf-16" if data[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig"
-    try:
-        return data.decode(encoding)
-    except UnicodeDecodeError as error:
-        where = f"{source.path}: {name}"
-        raise DataError(message(where, "the text", "be UTF-8", str(error), "Save it as UTF-8.")) from error
+    return decode_text(f"{source.path}: {name}", source.read(name))
 
 
 def the_one(source: Folder | Zip, wanted: Callable[[str], bool], what: str) -> str:

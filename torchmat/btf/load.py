@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import operator
+import os
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -64,7 +65,7 @@ def load_btf(
         raise RangeError(message("load_btf", "exposure", "be positive and finite", f"it is {exposure}", step))
     path = Path(path)
     table = _KIND_OF_TABLE.get(path.suffix.lower())
-    if table is not None and path.is_file():
+    if table is not None and os.path.isfile(path):
         path, kind = path.parent, kind or table
     options = PixelOptions(
         crop=_crop(crop),

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import io
+import os
 import warnings
 from pathlib import Path
 
@@ -14,12 +16,13 @@ from torchmat.btf.listing import is_image
 from torchmat.btf.pixels import split_channels
 from torchmat.errors import DataError, ShapeError, message
 from torchmat.images import read_image
+from torchmat.text_file import read_text
 
 
 def image_files(folder: str | Path) -> list[Path]:
     """Return the image files of a folder, sorted by name; raises DataError when there are none."""
     folder = Path(folder)
-    if not folder.is_dir():
+    if not os.path.isdir(folder):
         raise DataError(message(str(folder), "the path", "be a folder of photographs", "it is none", "Check the spelling."))
     found = sorted(path for path in folder.iterdir() if is_image(path.name))
     if not found:
@@ -47,17 +50,19 @@ def read_photographs(folder: str | Path, encoding: str = "auto") -> Tensor:
 
 def read_lights(path: str | Path, images: int) -> Tensor:
     """Return unit directions [n, 3] from a text file with one light a line, or one a column in three lines."""
+    text = read_text(path, "the lights")
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of an empty file, which the check below names
-            table = np.loadtxt(path, ndmin=2, comments=("#", "%"))
-    except (OSError, ValueError) as error:
+            table = np.loadtxt(io.StringIO(text), ndmin=2, comments=("#", "%"))
+    except ValueError as error:
         step = "Write x y z of one light a line, in the order of the photographs' names."
         raise DataError(message(str(path), "the lights", "be a table of numbers", str(error), step)) from error
     if table.shape[0] == 3 and table.shape[1] == images and images != 3:
         table = table.T
-    length = np.linalg.norm(table, axis=1, keepdims=True)
-    if table.shape != (images, 3) or not np.isfinite(table).all() or (length == 0).any():
+    largest = np.abs(table).max(axis=1, keepdims=True, initial=0)
+    if table.shape != (images, 3) or not np.isfinite(table).all() or (largest == 0).any():
         fact = f"it is {table.shape[0]} x {table.shape[1]} for {images} photographs"
         raise DataError(message(str(path), "the table", "hold x y z for each photograph", fact, "One light a line."))
-    return torch.from_numpy(table / length).float()
+    table = table / largest  # or squares of positions far away would leave the range of numbers
+    return torch.from_numpy(table / np.linalg.norm(table, axis=1, keepdims=True)).float()

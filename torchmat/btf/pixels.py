@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import zlib
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -123,6 +124,11 @@ def read_pixels(source: Folder | Zip, name: str) -> np.ndarray:
             raise DataError(str(error).replace(str(path), f"{source.path}: {name}")) from error
 
 
+def checksum(codes: np.ndarray, flags: np.ndarray) -> int:
+    """Return the CRC-32 of an image's codes [3, H, W] and flags [H, W]."""
+    return zlib.crc32(np.ascontiguousarray(flags), zlib.crc32(np.ascontiguousarray(codes)))
+
+
 def decode_files(
     source: Folder | Zip, files: tuple[str, ...], normalise: Normaliser, pixels: np.ndarray, flags: np.ndarray,
     show: bool | None,
@@ -131,6 +137,7 @@ def decode_files(
     count = len(files)
     table = {name: np.zeros(count, dtype=np.int64) for name in ("clipped", "invalid")}
     table |= {name: np.zeros(count, dtype=normalise.out_dtype) for name in ("low", "high")}
+    table["checksum"] = np.zeros(count, dtype=np.uint32)
 
     def work(first: int) -> None:
         for row, name in enumerate(files[first : first + _CHUNK], first):
@@ -140,6 +147,7 @@ def decode_files(
                 flags[row] = marks
             table["clipped"][row], table["invalid"][row] = (marks == CLIPPED).sum(), (marks == INVALID).sum()
             table["low"][row], table["high"][row] = codes.min(), codes.max()
+            table["checksum"][row] = checksum(codes, marks)
 
     _in_threads(work, range(0, count, _CHUNK), show)
     return table

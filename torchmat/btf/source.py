@@ -16,8 +16,10 @@ from functools import cached_property
 from pathlib import Path, PurePosixPath
 
 from torchmat.errors import DataError, message
+from torchmat.text_file import MOST_BYTES, check_size
 
 _LARGEST_MEMBER = 2**31  # bytes of one file in a zip; a larger one is no photograph
+_PIECE = 2**20  # bytes of it that are unpacked in a go
 _IGNORED_PARTS = ("__MACOSX",)
 _REPACK = "Repack the archive from the original files."
 
@@ -74,12 +76,16 @@ class Folder:
         self.fingerprint = hashlib.sha256("\n".join(lines).encode("utf-8", "surrogateescape")).hexdigest()
 
     def read(self, name: str) -> bytes:
-        """Return the content of one file; raises DataError when it cannot be read."""
+        """Return the content of a table; raises DataError when it cannot be read or is far too long for one."""
+        where = f"{self.path}: {name}"
         try:
-            return (self.path / name).read_bytes()
+            with open(self.path / name, "rb") as stream:
+                data = stream.read(MOST_BYTES + 1)
         except OSError as error:
             step = "Check that it exists and may be read."
-            raise DataError(message(f"{self.path}: {name}", "the file", "be readable", str(error), step)) from error
+            raise DataError(message(where, "the file", "be readable", str(error), step)) from error
+        check_size(where, len(data))
+        return data
 
     @contextmanager
     def file(self, name: str) -> Iterator[Path]:
@@ -111,9 +117,14 @@ class Zip:
             text = message(str(self.path), "the archive", "be a readable zip", _reason(error), step)
             raise DataError(text) from error
         # Archives made on Windows may separate folders with a backslash.
-        members = {info.filename.replace("\\", "/"): info for info in self._archive.infolist()}
-        for name, info in members.items():
+        members: dict[str, zipfile.ZipInfo] = {}
+        for info in self._archive.infolist():
+            name = info.filename.replace("\\", "/")
             self._refuse_unsafe(name, info)
+            if name in members and not name.endswith("/"):
+                fact = "it stands there twice"
+                raise DataError(message(f"{self.path}: {name}", "the name", "be that of one file", fact, _REPACK))
+            members[name] = info
         return {name: info for name, info in members.items() if name[-1:] not in ("", "/") and not _hidden(name)}
 
     @cached_property
@@ -133,21 +144,27 @@ class Zip:
             raise DataError(message(where, "the file", "not be encrypted", "it is", "Repack without a password."))
 
     def read(self, name: str) -> bytes:
-        """Return the content of one file; raises DataError when it is damaged or not as large as the archive says."""
+        """Return the content of a table; raises DataError when it is damaged or far too long for one."""
+        check_size(f"{self.path}: {name}", self._members[name].file_size)
+        return b"".join(self._pieces(name))
+
+    def _pieces(self, name: str) -> Iterator[bytes]:
+        """Yield the content of one file; raises DataError when it is damaged or not as large as the archive says."""
         where, stated = f"{self.path}: {name}", self._members[name].file_size
+        came = 0
         try:
             with self._lock, self._archive.open(self._members[name]) as stream:
                 # One byte more than promised tells a lie about the size without unpacking all of it.
-                data = stream.read(stated + 1)
+                while piece := stream.read(min(_PIECE, stated + 1 - came)):
+                    came += len(piece)
+                    yield piece
         except Exception as error:  # zlib.error, among others, has no base class beyond Exception
             raise DataError(message(where, "the file", "unpack without damage", _reason(error), _REPACK)) from error
-        if len(data) != stated:
-            fact = f"the archive says {stated} bytes and {len(data)} came"
+        if came != stated:
+            fact = f"the archive says {stated} bytes and {came} came"
             raise DataError(message(where, "the file", "have the stated size", fact, _REPACK))
-        return data
 
     def _unpack(self, name: str) -> Path:
-        data = self.read(name)
         # The suffix tells OpenImageIO the format; what is no suffix of an image must not shape a path.
         suffix = PurePosixPath(name).suffix
         suffix = suffix if re.fullmatch(r"\.\w{1,8}", suffix, re.ASCII) else ""
@@ -157,7 +174,7 @@ class Zip:
                     self._scratch = Path(tempfile.mkdtemp(prefix="torchmat-unzip-"))
             handle, path = tempfile.mkstemp(suffix=suffix, dir=self._scratch)
             with os.fdopen(handle, "wb") as stream:
-                stream.write(data)
+                stream.writelines(self._pieces(name))
         except OSError as error:
             where = f"{self.path}: {name}"
             step = "Free some space there or set TMPDIR to another folder."
@@ -188,10 +205,13 @@ def _reason(error: Exception) -> str:
 def open_source(path: str | Path) -> Folder | Zip:
     """Open a folder or a zip; raises DataError, which names the path, for anything else."""
     path = Path(path)
-    if path.is_dir():
+    if os.path.isdir(path):  # pathlib raises where a name is too long
         return Folder(path)
-    if not path.exists():
+    if not os.path.exists(path):
         raise DataError(message(str(path), "the path", "exist", "there is nothing", "Check the spelling."))
+    if not os.path.isfile(path):
+        step = "Give the folder or the zip itself."
+        raise DataError(message(str(path), "the path", "be a folder or a zip", "it is a device or a pipe", step))
     if path.suffix.lower() == ".zip" or zipfile.is_zipfile(path):
         return Zip(path)
     if path.suffix.lower() in (".csv", ".lp"):

@@ -18,25 +18,50 @@ class PixelStore:
 
     `pixels` [sample, 3, H, W] in any decodable type; `flags` [sample, H, W] uint8 of VALID, CLIPPED, INVALID, or None
     when every sample is valid; `clipped` and `invalid` [sample] count the flagged texels of each image; `low` and
-    `high` [sample] are the smallest and largest code.
+    `high` [sample] are the smallest and largest code, None where nobody has looked. `pixels` and `flags` may be views
+    of larger arrays.
     """
 
     pixels: np.ndarray
     flags: np.ndarray | None
     clipped: np.ndarray
     invalid: np.ndarray
-    low: np.ndarray
-    high: np.ndarray
+    low: np.ndarray | None = None
+    high: np.ndarray | None = None
 
     def release(self, samples: range) -> None:
         """Drop the mapped pages of `samples` from memory, so that a pass over a large file leaves no trace of itself."""
         for array in (self.pixels, self.flags):
             mapped = getattr(array, "_mmap", None)
-            if mapped is None or array.nbytes <= _RELEASE_BYTES or not hasattr(mmap, "MADV_DONTNEED"):
+            if mapped is None or len(mapped) <= _RELEASE_BYTES or not hasattr(mmap, "MADV_DONTNEED"):
                 continue
-            row = array.nbytes // len(array)
+            row = array.strides[0]  # of the whole sample in the file, also where the array shows a window of it
             first = samples.start * row // mmap.PAGESIZE * mmap.PAGESIZE  # advice is given for whole pages
             mapped.madvise(mmap.MADV_DONTNEED, first, samples.stop * row - first)
+
+    def window(self, rows: slice, columns: slice) -> PixelStore:
+        """Return the store of some texels: a view, whose codes are not looked at."""
+        pixels = self.pixels[:, :, rows, columns]
+        counts = {name: np.zeros_like(getattr(self, name)) for name in ("clipped", "invalid")}
+        if self.flags is None:
+            return PixelStore(pixels, None, **counts)
+        flags = self.flags[:, rows, columns]
+        for sample in np.flatnonzero(self.clipped + self.invalid):  # other rows of a flag file are holes, never read
+            counts["clipped"][sample] = np.count_nonzero(flags[sample] == CLIPPED)
+            counts["invalid"][sample] = np.count_nonzero(flags[sample] == INVALID)
+        return PixelStore(pixels, flags, **counts)
+
+    def picked(self, samples: np.ndarray) -> PixelStore:
+        """Return the store of some samples, copied."""
+        flags = None if self.flags is None else self.flags[samples]
+        ends = {name: None if getattr(self, name) is None else getattr(self, name)[samples] for name in ("low", "high")}
+        return PixelStore(self.pixels[samples], flags, self.clipped[samples], self.invalid[samples], **ends)
+
+    def ends(self) -> tuple[float, float]:
+        """Return the smallest and the largest code of all images."""
+        if self.low is None:
+            return self.pixels.min(), self.pixels.max()
+        return self.low.min(), self.high.max()
 
 
 def summarise(pixels: np.ndarray, flags: np.ndarray) -> PixelStore:

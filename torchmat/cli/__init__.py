@@ -1,4 +1,4 @@
-"""The command line: torchmat fit, render, compare, info, geometry, create."""
+"""The command line: torchmat fit, fit-many, render, compare, info, geometry, create."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import tyro
 from torchmat.cli.compare import Compare
 from torchmat.cli.create import Create
 from torchmat.cli.fit import Fit
+from torchmat.cli.fit_many import FitMany
 from torchmat.cli.geometry import Geometry
 from torchmat.cli.info import Info
 from torchmat.cli.render import Render
@@ -16,7 +17,7 @@ from torchmat.errors import TorchmatError
 
 _STYLE = (tyro.conf.FlagCreatePairsOff,)
 COMMANDS = {
-    "fit": Fit, "render": Render, "compare": Compare, "info": Info, "geometry": Geometry, "create": Create,
+    "fit": Fit, "fit-many": FitMany, "render": Render, "compare": Compare, "info": Info, "geometry": Geometry, "create": Create,
 }
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 
 SAMPLE = "sample"
@@ -36,12 +37,15 @@ class DataArguments:
     clipped_weight: float | None = None
     """What a clipped sample counts in the fit, 0 to 1."""
 
+    def keywords(self) -> dict[str, Any]:
+        """Return what was given on the command line as keywords of `load_btf`."""
+        names = ("kind", "encoding", "exposure", "crop", "downscale", "invalid", "duplicates", "normalise", "clipped_weight")
+        given = {name: getattr(self, name) for name in names if getattr(self, name) is not None}
+        return {**given, "cache": False if self.no_cache else (self.cache or True)}
+
     def load(self, path: str, settings: dict | None = None):
         """Load the BTF; arguments given on the command line override the config's [data]."""
         from torchmat import load_btf, sample_path
 
-        names = ("kind", "encoding", "exposure", "crop", "downscale", "invalid", "duplicates", "normalise", "clipped_weight")
-        given = {name: getattr(self, name) for name in names if getattr(self, name) is not None}
-        cache = False if self.no_cache else (self.cache or True)
         where = sample_path() if path == SAMPLE and not Path(path).exists() else path
-        return load_btf(where, **{**(settings or {}), **given}, cache=cache)
+        return load_btf(where, **{**(settings or {}), **self.keywords()})

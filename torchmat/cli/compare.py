@@ -18,9 +18,18 @@ class Compare:
     data: Annotated[str, tyro.conf.Positional] = SAMPLE
     """Folder or zip of images; `sample` is the one that ships with the package."""
     models: list[str] = field(default_factory=list)
-    """Names, with options after a colon: ptm hsh:terms=16 phong_srf:residual=half_light (default: all families)."""
+    """Names, with options after a colon: ptm hsh:terms=16 phong_srf:residual=half_light lambert:geometry=recover
+    (default: all families, and all solvers of each)."""
+    budget: float | None = 120.0
+    """Seconds that one fit may take: iterative solvers stop there with the best they have, and their rows say so."""
+    repeats: int = 1
+    """How often each model is fitted: seconds are the median, with their spread."""
+    geometry: str = "flat"
+    """flat or recover, for models that say nothing of it."""
+    curves: bool = True
+    """Measure the error of iterative solvers as they go on."""
     out: Path | None = Path("comparison")
-    """Folder for JSON, CSV, HTML and plots; None only prints."""
+    """Folder for JSON, CSV, HTML and plots; None only prints. Rows are written as soon as they are known."""
     holdout: float = 0.2
     """Share of samples held out."""
     holdout_by: str = "pair"
@@ -36,12 +45,17 @@ class Compare:
         if self.out is not None:
             check_target(self.out)
         btf = self.read.load(self.data)
+        title = f"Models on {Path(self.data).name}"
+        keep = None if self.out is None else lambda rows: write_comparison(rows, self.out, title, plots=False)
         rows = compare(
-            btf, self.models or DEFAULT_MODELS, holdout=self.holdout, holdout_by=self.holdout_by, seed=self.seed
+            btf, self.models or DEFAULT_MODELS, budget=self.budget, repeats=self.repeats, geometry=self.geometry,
+            curves=self.curves, holdout=self.holdout, holdout_by=self.holdout_by, seed=self.seed, each=keep,
         )
         print(comparison_table(rows))
         for row in rows:
             if row["failed"]:
                 print(f"{row['model']}: {row['failed']}")
+            if row["same_bits"] is False:
+                print(f"{row['model']}: repeats differ, relative errors {row['relative_errors']}")
         if self.out is not None:
-            print(f"comparison {write_comparison(rows, self.out, f'Models on {Path(self.data).name}')}")
+            print(f"comparison {write_comparison(rows, self.out, title)}")

@@ -23,27 +23,45 @@ class Fit:
     """Folder to write; an earlier material there is replaced."""
     set: Annotated[list[str], tyro.conf.UseAppendAction] = field(default_factory=list)
     """Override a key of the config, for example --set options.residual=half_light; may be repeated."""
+    work: Path | None = None
+    """Fit tile by tile and keep finished tiles in this folder: a run that was stopped goes on there."""
+    scene: list[Path] = field(default_factory=list)
+    """Scene files (configs/scene_teapot.toml): fit only what these pictures use."""
     no_pictures: bool = False
     """Write the material and report.json only."""
     read: Annotated[DataArguments, tyro.conf.arg(name="")] = field(default_factory=DataArguments)
 
     def run(self) -> None:
         from torchmat.fit import fit, load_config
+        from torchmat.fit.auto import NOT_MET
         from torchmat.fit.on_relief import GEOMETRIES
+        from torchmat.fit.registry import AUTO
         from torchmat.material_io import check_target, load_height
+        from torchmat.render.scene_file import load_scene
         from torchmat.report import write_fit
-        from torchmat.report.tables import error_table, summary_table
+        from torchmat.report.decisions import outcome_text
+        from torchmat.report.tables import error_table, scene_table, summary_table
 
         check_target(self.out)  # before the work, not after it
         config = load_config(self.config, self.set)
-        height = None if config.geometry in GEOMETRIES else load_height(config.geometry)
+        height = None if config.geometry in (*GEOMETRIES, AUTO) else load_height(config.geometry)
+        scenes = [load_scene(path) for path in self.scene]
         btf = self.read.load(self.data, config.data)
-        result = fit(btf, config, geometry=height)
+        result = fit(btf, config, geometry=height, work=self.work, scene=scenes or None)
         folder = write_fit(btf, result, self.out, pictures=not self.no_pictures)
+        choice = result.report["figures"].get("auto")
+        if choice:
+            print(outcome_text(choice).upper() if result.stop_reason == NOT_MET else outcome_text(choice))
+            print()
         print(summary_table(result.report))
         print()
         print(error_table(result.report))
         print()
+        if scenes:
+            print(scene_table(result.report))
+            print()
         print(f"material   {folder}")
+        if choice:
+            print(f"decisions  {folder / 'decisions.txt'}")
         for path in sorted(folder.glob("report.*")) + sorted((folder / "pictures").glob("*.png")):
             print(f"{'report' if path.stem == 'report' else 'picture':10s} {path}")

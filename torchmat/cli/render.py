@@ -24,6 +24,8 @@ class Render:
     """Material folder, shading map (.3pm), BRDF file (.binary, .bsdf), or a BTF."""
     out: Path | None = None
     """Folder for the pictures (default: pictures/ inside the material folder, else in the current one)."""
+    scene: Path | None = None
+    """Scene file (configs/scene_teapot.toml): object, lights, camera and size, in place of the options below."""
     mesh: list[str] = field(default_factory=list)
     """patch, quad, cube, sphere, torus, teapot, or mesh files; several (default: patch sphere)."""
     light: Annotated[list[_Direction], tyro.conf.UseAppendAction] = field(default_factory=list)
@@ -61,9 +63,16 @@ class Render:
     def run(self) -> None:
         from torchmat.report.describe import is_material
 
+        from torchmat.render.scene_file import load_scene
+
+        scene = None if self.scene is None else load_scene(self.scene)
         shader = self._load()
         inside = Path(self.material).is_dir() and is_material(self.material)
         folder = self.out or (Path(self.material) / "pictures" if inside else Path("pictures"))
+        if scene is not None:
+            for path in self._of_scene(shader, scene, folder):
+                print(f"picture    {path}")
+            return
         meshes = self.mesh or (_DEFAULT_MESHES[1:] if self.point or self.turntable or self.sweep else _DEFAULT_MESHES)
         self._check(meshes)
         lights = self._lights()
@@ -71,6 +80,17 @@ class Render:
             stem = folder / f"render_{Path(mesh).stem}"
             for path in self._pictures(shader, mesh, lights, stem):
                 print(f"picture    {path}")
+
+    def _of_scene(self, shader, scene, folder: Path) -> list[Path]:
+        from torchmat.errors import RangeError, message
+        from torchmat.render import render
+        from torchmat.render.files import write_picture
+
+        if self.mesh or self.light or self.point or self.environment or self.turntable or self.sweep:
+            fact, step = "others are given beside it", "Write them into the scene file, or leave --scene out."
+            raise RangeError(message("render", "--scene", "bring object and lights", fact, step))
+        target = folder / f"render_{self.scene.stem}.png"
+        return write_picture(render(shader, scene), target, self.exposure, self.exr)
 
     def _check(self, meshes) -> None:
         from torchmat.errors import RangeError, message

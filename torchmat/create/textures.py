@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import NamedTuple
 
@@ -40,7 +41,7 @@ def find_textures(folder: str | Path) -> TextureSet:
     Raises DataError for no folder, no `*_Color`, or two files of one kind. Of both normal maps the OpenGL one is used.
     """
     folder = Path(folder)
-    if not folder.is_dir():
+    if not os.path.isdir(folder):
         step = "Give the folder that holds *_Color.jpg and its companions, unpacked."
         raise DataError(message(str(folder), "the textures", "be a folder", "it is none", step))
     files: dict[str, Path] = {}

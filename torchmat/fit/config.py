@@ -13,6 +13,7 @@ from torchmat.btf.split import HOLDOUT_WAYS
 from torchmat.errors import DataError, RangeError, check_known_keys, check_option, message
 from torchmat.fit.registry import AUTO, resolve_options
 from torchmat.fit.target import make_target
+from torchmat.text_file import read_text
 
 _DATA_KEYS = (
     "kind", "encoding", "exposure", "crop", "downscale", "lights", "views", "invalid", "duplicates", "normalise",
@@ -24,7 +25,8 @@ _DATA_KEYS = (
 class FitConfig:
     """Everything that decides a fit, apart from the data itself.
 
-    `options` are the model's; `geometry` is "flat", "recover", or for the command line the path of a height map;
+    `options` are the model's; `geometry` is "flat", "recover", or for the command line the path of a height map; left out
+    it is "flat", and for the model "auto" it is "auto", which leaves the relief to the data;
     `target` holds what `Target` does: the wanted error and budgets of the model "auto", and the seconds of any other;
     `tile` is the side of the tiles of texels that are fitted one after the other and `memory_mb` what a fit may take,
     0 is no wish for both; `data` are keywords of `load_btf`, used by the command line.
@@ -35,7 +37,7 @@ class FitConfig:
     holdout: float = 0.2
     holdout_by: str = "pair"
     seed: int = 0
-    geometry: str = "flat"
+    geometry: str | None = None
     tiles: bool = True
     target: dict[str, Any] = field(default_factory=dict)
     tile: int = 0
@@ -43,6 +45,8 @@ class FitConfig:
     data: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        if self.geometry is None:
+            object.__setattr__(self, "geometry", AUTO if self.model == AUTO else "flat")
         resolve_options(self.model, self.options)
         make_target("config [target]", self.target)
         for name in ("tile", "memory_mb"):
@@ -83,11 +87,10 @@ def load_config(path: str | Path, overrides: list[str] | None = None) -> FitConf
 
     A value that is not TOML counts as a plain string. Raises DataError or RangeError, naming the file or the key.
     """
+    text = read_text(path, "the config")
     try:
-        table = tomllib.loads(Path(path).read_text(encoding="utf-8-sig"))
-    except OSError as error:
-        raise DataError(message(str(path), "the config", "be readable", str(error), "Check the path.")) from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        table = tomllib.loads(text)
+    except (ValueError, RecursionError) as error:  # not TOML's own error alone: a number of 5,000 digits is another
         raise DataError(message(str(path), "the config", "be TOML", str(error), "Correct that line.")) from error
     for text in overrides or []:
         _override(table, text)
@@ -98,7 +101,7 @@ def parse_value(text: str) -> Any:
     """Return the TOML value that `text` stands for; what is not TOML counts as a plain string."""
     try:
         return tomllib.loads(f"v = {text.strip()}")["v"]
-    except tomllib.TOMLDecodeError:
+    except (ValueError, RecursionError):
         return text.strip()
 
 

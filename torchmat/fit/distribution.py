@@ -8,61 +8,65 @@ nor all that matters. Between rounds of Adam the height moves to where the appea
 from __future__ import annotations
 
 import math
-import time
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import torch
 from torch import Tensor
 
-from torchmat.errors import RangeError, check_option, message
-from torchmat.fit.distribution_maps import BLOCK_VALUES, OUTSTANDING, Parts, anisotropy, maps_of, raw_maps, sample_runs
+from torchmat.fit.distribution_maps import BLOCK_VALUES, Parts, group_texels, maps_of, raw_maps, to_one
+from torchmat.fit.distribution_options import DistributionOptions
+from torchmat.fit.distribution_start import find_starts, mean_value
+from torchmat.fit.multiplicative import sweep
 from torchmat.fit.refine import refine_height
+from torchmat.fit.solvers import DIVERGED, NOT_FINITE, Descent, adam, lbfgs, minibatch
 from torchmat.fit.surface import Surface, bring_onto
 from torchmat.fit.training import Fitted, Training
-from torchmat.geometry import normals_from_slopes, photometric_stereo, slopes_from_height, slopes_from_normals
+from torchmat.fit.watch import Watch
+from torchmat.geometry import normals_from_slopes
 from torchmat.models import Distribution
-from torchmat.models.storage import STORAGES
 from torchmat.progress import progress
-from torchmat.repeatable import one_thread
 
-STEP_LIMIT, NOT_FINITE, DIVERGED = "step limit", "not finite", "diverged"
-AUTO = ("auto", "yes", "no")
 _DISPLAY = 1 / 2.2
 _DARKEST = 0.01  # of the mean value: differences below that no display shows
 _BATCH_VALUES, _FEWEST_IMAGES = 49152, 4  # texels x images of one step
+_LEAST_GRADIENT = 1e-8 * 4096  # of a texel; the loss is a mean, so all gradients shrink with the number of texels
 _RATE = 0.06
 # Relative to that: slopes are small numbers; tables and indices see many samples a step and can move faster.
 _RATES = {"slopes": 0.3, "specular": 2.0, "index": 2.0}
 _ROUNDS = (600, 500, 900)  # steps before, between and after the moves of the height
+_FEWER = {"adam": 4, "lbfgs": 10}  # steps on all samples at once do so many times as much
+_SWEEPS, _SWEPT = 6, 256  # passes of the multiplicative start, and samples of each
 _PILOT = 300
 _GAIN_DB = 0.08  # what one more part must bring in a pilot run
 _MOST_LOBES = 3
-_SNAPSHOT = 100
-_WORSE = 8  # times the lowest error so far: no batch is that much harder than the rest
+_PILOTS_SHARE = 0.08  # of a limit of seconds, for each pilot
+_LEAST_GRADIENT = 1e-8 * 4096  # of a texel; the loss is a mean, so all gradients shrink with the number of texels
 
 
 def fit_distribution(
-    training: Training, *, lobes: int = 0, fresnel: str = "auto", rotation: str = "auto", specular_size: int = 48,
-    effort: float = 1.0, storage: str = "png8",
+    training: Training, *, lobes: int = 0, specular: str = "yes", fresnel: str = "auto", rotation: str = "auto",
+    tilt: str = "no", normal: str = "yes", specular_mask: str = "yes", specular_size: int = 48, effort: float = 1.0,
+    solver: str = "minibatch", storage: str = "png8",
 ) -> Fitted:
     """Fit the distribution material to a flat surface.
 
-    `lobes` is the number K of specular maps, 0 lets the data choose up to 3; `fresnel` and `rotation` "auto", "yes" or
-    "no": a part is kept if a short pilot run on part of the samples gains 0.08 dB by it on the rest. `specular_size` is
-    the side of the specular maps, `effort` multiplies the number of steps.
+    `lobes` is the number K of specular maps, 0 lets the data choose up to 3; `specular` "no" leaves them out with all
+    that belongs to them. `fresnel`, `rotation` and `tilt` are "auto", "yes" or "no": a part is kept if a short pilot run
+    on part of the samples gains 0.08 dB by it on the rest. `normal` and `specular_mask` "no" save those maps.
+    `specular_size` is the side of the specular maps, `effort` multiplies the number of steps, and `solver` is "minibatch"
+    (Adam on random images), or "adam" or "lbfgs" on all at once.
     """
+    given = DistributionOptions(
+        lobes, specular, fresnel, rotation, tilt, normal, specular_mask, specular_size, effort, solver, storage
+    )
     flat = torch.zeros(1, training.btf.height, training.btf.width, dtype=training.dtype)
-    surface = bring_onto(training, flat)
-    return _Fit(surface, None, lobes, fresnel, rotation, specular_size, effort, storage).run()
+    return _Fit(bring_onto(training, flat), None, given).run()
 
 
-def fit_distribution_on_relief(
-    surface: Surface, height: Tensor, *, lobes: int = 0, fresnel: str = "auto", rotation: str = "auto",
-    specular_size: int = 48, effort: float = 1.0, storage: str = "png8",
-) -> Fitted:
+def fit_distribution_on_relief(surface: Surface, height: Tensor, **options: Any) -> Fitted:
     """Fit the distribution material over a relief, and refine its height along the way."""
-    return _Fit(surface, height, lobes, fresnel, rotation, specular_size, effort, storage).run()
+    return _Fit(surface, height, DistributionOptions(**options)).run()
 
 
 def _power(base: Tensor, exponent: float) -> Tensor:
@@ -80,104 +84,99 @@ class _Fit:
 
     surface: Surface
     height: Tensor | None
-    lobes: int
-    fresnel: str
-    rotation: str
-    specular_size: int
-    effort: float
-    storage: str
+    options: DistributionOptions
     history: list[tuple[float, float]] = field(default_factory=list)
-    templates: dict[Parts, Distribution] = field(default_factory=dict)
-
-    def __post_init__(self) -> None:
-        where = "fit distribution"
-        check_option(where, "fresnel", self.fresnel, AUTO)
-        check_option(where, "rotation", self.rotation, AUTO)
-        check_option(where, "storage", self.storage, STORAGES)
-        if self.lobes < 0 or self.lobes > 12:
-            raise RangeError(message(where, "lobes", "lie in 0 (automatic) to 12", f"it is {self.lobes}"))
-        if not 4 <= self.specular_size <= 1024:
-            raise RangeError(message(where, "specular_size", "lie in 4 to 1024", f"it is {self.specular_size}"))
-        if not 0 < self.effort < math.inf:
-            raise RangeError(message(where, "effort", "be positive and finite", f"it is {self.effort}"))
+    templates: dict[tuple[str, ...], Distribution] = field(default_factory=dict)
+    known: dict[str, Tensor] = field(default_factory=dict)  # parameters that are no unknowns here
 
     def run(self) -> Fitted:
         training = self.surface.training
-        self.start = time.perf_counter()
-        self.level = self._mean_value()
-        starts = self._starts()
+        self.level = training.shared.get("level") or mean_value(self.surface)
+        starts = find_starts(self.surface, self.level)
         parts, pilots = self._choose(starts)
-        raw = raw_maps(starts, parts, self.specular_size, training)
-        reason, taken = STEP_LIMIT, 0
-        rounds = _ROUNDS if self.height is not None else (sum(_ROUNDS),)
-        for number, steps in enumerate(rounds):
-            if number > 0:
-                self._move_height(raw, parts)
-            steps = max(1, round(steps * self.effort))
-            taken += steps
-            rate = _RATE if number == 0 else _RATE * 2 / 3
-            reason = self._optimise(raw, parts, self.surface, steps, rate, range(len(training.btf)), self.history)
-            if reason != STEP_LIMIT:
-                break
-        material = self._material(raw, parts)
-        figures = {"parts": parts.names, "lobes": parts.lobes, "pilots": pilots, "adam_steps": taken}
-        return Fitted(material, reason, None, figures, history=self.history)
+        raw = self._begin(starts, parts)
+        # A part of the texels does not say where the height of the whole wants to go.
+        moves = self.height is not None and self.surface.window is None
+        found = self._rounds(raw, parts, _ROUNDS if moves else (sum(_ROUNDS),))
+        figures = {"parts": parts.names, "lobes": parts.lobes, "pilots": pilots, "solver_steps": found.steps}
+        shared = self._shared(raw, parts, starts)
+        return Fitted(self._material(raw, parts), found.reason, None, figures, history=self.history, shared=shared)
 
-    def _mean_value(self) -> float:
-        btf = self.surface.training.btf
-        total = torch.zeros(btf.height, btf.width, dtype=torch.float64)
-        for block in btf.blocks(None, self.surface.training.dtype):
-            total += block.images.mean(dim=1, dtype=torch.float64).sum(dim=0)
-        each = total / max(len(btf), 1)
-        usual = each[each > 0].median() if bool((each > 0).any()) else each.max()
-        with one_thread():
-            # One texel a million times as bright as the cloth must not decide what is dark.
-            return max(float(each.clamp(max=OUTSTANDING * usual).mean()), 1e-12)
+    def _rounds(self, raw: dict[str, Tensor], parts: Parts, rounds: tuple[int, ...]) -> Descent:
+        """Solve for all maps, moving the height between rounds; a limit of seconds is shared out as the steps are."""
+        taken, watch = 0, self.surface.training.watch
+        for number, steps in enumerate(rounds):
+            if number > 0 and not watch.spent:
+                self._move_height(raw, parts)
+            now, share = watch.seconds, steps / sum(rounds[number:])
+            rate = _RATE if number == 0 else _RATE * 2 / 3
+            samples = torch.arange(len(self.surface.training.btf))
+            until = now + (watch.limit - now) * share
+            steps = max(1, round(steps * self.options.effort))
+            found = self._solve(raw, parts, self.options.solver, steps, rate, samples, until, watch)
+            taken += found.steps
+            self.history += found.history
+            if found.reason in (NOT_FINITE, DIVERGED) or watch.spent:
+                break
+        return replace(found, steps=taken)
+
+    def _begin(self, starts: dict[str, Tensor], parts: Parts) -> dict[str, Tensor]:
+        """Return the parameters at the start: what only adds light is as bright as the data (`multiplicative`)."""
+        training = self.surface.training
+        raw = raw_maps(starts, parts, self.options.specular_size, training)
+        for name in ("specular", "tilt"):
+            if name in training.shared and name in raw:
+                self.known[name] = training.shared[name]
+                del raw[name]
+        samples = len(training.btf)
+        rows = torch.linspace(0, samples - 1, min(samples, _SWEPT)).round().long()
+        batches = rows.split(self._images)
+        additive = [name for name in ("diffuse", "ambient", "specular") if name in raw]
+        additive = [name for name in additive if name != "ambient" or self.height is not None]
+
+        def observed(batch: Tensor) -> tuple[Tensor, Tensor]:
+            values, valid = self.surface.values(batch)
+            # The slope of the display root, squared: a step in the dark counts as much as one in the light.
+            return values, valid * _power(values.clamp(min=0) + self.darkest, 2 * (_DISPLAY - 1))
+
+        for number in range(_SWEEPS):
+            last = number == _SWEEPS - 1 and "specular_mask" in raw
+            names = [*(n for n in additive if n != "specular"), "specular_mask"] if last else additive
+            sweep([raw[name] for name in names], lambda batch: self._predict(raw, parts, self.surface, batch), observed, batches)
+        return raw
+
+    @property
+    def _images(self) -> int:
+        """Images of one batch; texels that share nothing unknown take the same steps whatever others are fitted with them."""
+        training = self.surface.training
+        texels = training.btf.height * training.btf.width
+        return _FEWEST_IMAGES if training.shared else max(_FEWEST_IMAGES, _BATCH_VALUES // texels)
+
+    def _shared(self, raw: dict[str, Tensor], parts: Parts, starts: dict[str, Tensor]) -> dict[str, Any]:
+        """Return what other texels of the material need: the unit, the specular maps, and what groups texels."""
+        training = self.surface.training
+        if training.shared:
+            return dict(training.shared)
+        shared = {"level": self.level, **{name: raw[name] for name in ("specular", "tilt") if name in raw}}
+        return shared if parts.lobes < 2 else shared | {"groups": group_texels(starts["features"], parts.lobes, training.seed)}
 
     @property
     def darkest(self) -> float:
         """The value added before the root."""
         return _DARKEST * self.level
 
-    def _starts(self) -> dict[str, Tensor]:
-        """Return what is known of each texel before the fit: mean colour, slopes, direction of anisotropy, features."""
-        training = self.surface.training
-        btf, dtype = training.btf, training.dtype
-        mean, weight = torch.zeros(3, btf.height, btf.width, dtype=dtype), torch.zeros(1, btf.height, btf.width, dtype=dtype)
-        for run in sample_runs(btf):
-            values, valid = self.surface.values(run)
-            mean += (values * valid).sum(dim=0)
-            weight += valid.sum(dim=0)
-        mean = mean / weight.clamp(min=1e-6)
-        slopes = self._start_slopes()
-        starts = {"mean": mean.clamp(min=1e-3 * self.level), "slopes": slopes}
-        return starts | anisotropy(self.surface, starts["mean"], slopes)
-
-    def _start_slopes(self) -> Tensor:
-        """Return slopes by photometric stereo from the most frontal view, or else those of the height."""
-        source = self.surface.source
-        btf, dtype = source.btf, source.dtype
-        rows = (source.used & (btf.view_index == int(btf.view_index[source.used].min()))).nonzero()[:, 0]
-        light = btf.light[rows].to(dtype)
-        given = torch.zeros(2, btf.height, btf.width, dtype=dtype)
-        if self.height is not None:
-            given = slopes_from_height(self.height, tiles=source.tiles)
-        spread = torch.linalg.eigvalsh((light.T @ light).double())
-        if len(rows) < 6 or float(spread[0]) < 1e-2 * float(spread[-1]):
-            return given
-        with one_thread():
-            found = photometric_stereo(btf.images(rows, dtype), light, btf.weights(rows))
-        return torch.where(found.confidence > 0, slopes_from_normals(found.normal), given)
-
     def _choose(self, starts: dict[str, Tensor]) -> tuple[Parts, list[dict[str, Any]]]:
         """Climb from one lobe alone: keep what pays in pilot runs."""
-        parts = Parts(max(1, self.lobes), self.fresnel == "yes", self.rotation == "yes")
-        trials = []
-        if self.fresnel == "auto":
-            trials.append(lambda p: replace(p, fresnel=True))
-        if self.rotation == "auto":
-            trials.append(lambda p: replace(p, rotation=True))
-        if self.lobes == 0:
+        given = self.options
+        optional = ("fresnel", "rotation", "tilt")
+        parts = Parts(
+            max(1, given.lobes), *(getattr(given, name) == "yes" for name in optional), given.normal == "yes",
+            given.specular_mask == "yes",
+        )
+        if given.specular == "no":
+            return replace(parts, lobes=0), []
+        trials = [lambda p, n=name: replace(p, **{n: True}) for name in optional if getattr(given, name) == "auto"]
+        if given.lobes == 0:
             trials += [lambda p, k=k: replace(p, lobes=k) if p.lobes == k - 1 else p for k in range(2, _MOST_LOBES + 1)]
         if not trials or len(self.surface.training.btf) < 20:
             return parts, []
@@ -201,8 +200,11 @@ class _Fit:
         generator = torch.Generator().manual_seed(training.seed)
         order = torch.randperm(len(btf), generator=generator)
         back = order[: max(1, len(btf) // 10)]
-        raw = raw_maps(starts, parts, self.specular_size, training)
-        self._optimise(raw, parts, self.surface, max(1, round(_PILOT * min(1, self.effort))), _RATE, order[len(back):].tolist(), [])
+        raw = self._begin(starts, parts)
+        # No pilot is noted: the curve is that of the fit.
+        until = training.watch.seconds + training.watch.limit * _PILOTS_SHARE
+        steps = max(1, round(_PILOT * min(1, self.options.effort)))
+        self._solve(raw, parts, "minibatch", steps, _RATE, order[len(back):], until, None)
         error, count = torch.zeros(btf.height, btf.width, dtype=torch.float64), 0.0
         for rows in back[:200].split(max(1, BLOCK_VALUES // (3 * btf.height * btf.width))):
             values, valid = self.surface.values(rows)
@@ -220,64 +222,58 @@ class _Fit:
     def _predict(self, raw: dict[str, Tensor], parts: Parts, surface: Surface, rows: Tensor) -> Tensor:
         btf, dtype = surface.training.btf, surface.training.dtype
         light, view = (d[rows][:, :, None, None].to(dtype) for d in (btf.light, btf.view))
-        maps = maps_of(raw)
+        maps = maps_of(raw | self.known)
         ambient = maps.pop("ambient")
+        if "normal" not in maps and self.height is not None:
+            maps["normal"] = normals_from_slopes(surface.slopes)
         shaded = self._flat(maps, parts).value(light, view)
         return shaded if self.height is None else shaded * surface.lit[btf.light_index[rows]] + ambient
 
     def _flat(self, maps: dict[str, Tensor], parts: Parts) -> Distribution:
-        if parts not in self.templates:
+        names = (*parts.names, *(["normal"] if "normal" in maps and not parts.normal else []))
+        key = (str(parts.lobes), *names)
+        if key not in self.templates:
             found = {name: value.detach() for name, value in maps.items()}
-            self.templates[parts] = Distribution(found, lobes=parts.lobes, parts=parts.names)
+            self.templates[key] = Distribution(found, lobes=parts.lobes, parts=names)
         # Not checked again at each step: maps that are no longer finite show in the error.
-        return self.templates[parts].sharing(maps)
+        return self.templates[key].sharing(maps)
 
-    def _optimise(
-        self, raw: dict[str, Tensor], parts: Parts, surface: Surface, steps: int, rate: float, rows: Any,
-        history: list[tuple[float, float]],
-    ) -> str:
-        """Run Adam for `steps` on random images among `rows`, all texels at once; the rate falls along half a cosine."""
-        training = surface.training
-        texels = training.btf.height * training.btf.width
-        images = min(len(rows), max(_FEWEST_IMAGES, _BATCH_VALUES // texels))
-        rows = torch.as_tensor(list(rows))
-        groups = [{"params": [value.requires_grad_()], "lr": 0.0, "rate": rate * _RATES.get(name, 1.0)} for name, value in raw.items()]
-        solver = torch.optim.Adam(groups, betas=(0.9, 0.99))
-        generator = torch.Generator().manual_seed(training.seed)
-        order, place = rows[torch.randperm(len(rows), generator=generator)], 0
-        kept, lowest, running, reason = {}, math.inf, None, STEP_LIMIT
-        for step in progress(range(steps + 1), "fitting all maps", show=training.progress if steps > _PILOT else False):
-            if step < steps:  # once more at the end: the last step is judged as well
-                if place + images > len(order):
-                    order, place = rows[torch.randperm(len(rows), generator=generator)], 0
-                batch, place = order[place : place + images], place + images
-            share = min(1.0, (step + 1) / 20) * (0.03 + 0.97 * 0.5 * (1 + math.cos(math.pi * step / steps)))
-            for group in solver.param_groups:
-                group["lr"] = group["rate"] * share
-            values, valid = surface.values(batch)
-            with torch.enable_grad():
-                gap = _shown(self._predict(raw, parts, surface, batch), self.darkest) - _shown(values, self.darkest)
-                loss = (gap.square() * valid).mean() / self.level ** (2 * _DISPLAY)
-            now = float(loss.detach())
-            if not math.isfinite(now):
-                reason = NOT_FINITE
-                break
-            running = now if running is None else 0.98 * running + 0.02 * now
-            if step > 0 and (step % _SNAPSHOT == 0 or step == steps):
-                history.append((time.perf_counter() - self.start, running))
-            if step % _SNAPSHOT == 0 and running < lowest:
-                kept, lowest = {name: value.detach().clone() for name, value in raw.items()}, running
-            if step < steps:
-                solver.zero_grad()
-                loss.backward()
-                solver.step()
-        if reason == STEP_LIMIT and running > _WORSE * lowest:
-            reason = DIVERGED
-        for name, value in raw.items():
-            value.requires_grad_(False)
-            if reason != STEP_LIMIT and name in kept:
-                value.copy_(kept[name])
-        return reason
+    def _solve(
+        self, raw: dict[str, Tensor], parts: Parts, solver: str, steps: int, rate: float, samples: Tensor, until: float,
+        watch: Watch | None,
+    ) -> Descent:
+        """Change `raw` by `solver`, all texels and maps at once, on some `samples`; only what has a `watch` is noted."""
+        surface, training = self.surface, self.surface.training
+        size = self.level ** (2 * _DISPLAY)
+
+        def objective(rows: Tensor | None) -> float:
+            total, every = 0.0, samples if rows is None else rows
+            for batch in every.split(self._images):
+                values, valid = surface.values(batch)
+                with torch.enable_grad():
+                    gap = _shown(self._predict(raw, parts, surface, batch), self.darkest) - _shown(values, self.darkest)
+                    loss = (gap.square() * valid).mean() * (len(batch) / len(every) / size)
+                    loss.backward()
+                total += float(loss.detach())
+            return total
+
+        parameters = [value.requires_grad_() for value in raw.values()]
+        rates = [rate * _RATES.get(name, 1.0) for name in raw]
+        settings = {"watch": watch or training.watch, "made": watch and (lambda: self._material(raw, parts))}
+        settings |= {"until": until, "show": training.progress if watch else False}
+        if solver == "minibatch":
+            texels = training.btf.height * training.btf.width
+            found = minibatch(
+                parameters, objective, lambda generator: training.drawn(samples, generator), rates=rates, steps=steps,
+                batch=self._images, seed=training.seed, eps=_LEAST_GRADIENT / texels if training.shared else 1e-8, **settings,
+            )
+        elif solver == "adam":
+            found = adam(parameters, objective, rates=rates, steps=max(1, steps // _FEWER["adam"]), **settings)
+        else:
+            found = lbfgs(parameters, objective, steps=max(1, steps // _FEWER["lbfgs"]), **settings)
+        for value in parameters:
+            value.requires_grad_(False).grad = None
+        return found
 
     def _move_height(self, raw: dict[str, Tensor], parts: Parts) -> None:
         surface, texels = self.surface, torch.arange(len(self.surface.training.btf))
@@ -285,21 +281,22 @@ class _Fit:
         def steepness(values: Tensor) -> Tensor:
             return _power(values.clamp(min=0) + self.darkest, _DISPLAY - 1) * (_DISPLAY * self._white**-_DISPLAY)
 
+        slopes = raw.get("slopes", surface.slopes)
         self.height = refine_height(
-            surface, self.height, raw["slopes"], lambda run: self._predict(raw, parts, surface, texels[run]), steepness
+            surface, self.height, slopes, lambda run: self._predict(raw, parts, surface, texels[run]), steepness
         )
         self.surface = bring_onto(surface.source, self.height, into=surface)
 
     def _material(self, raw: dict[str, Tensor], parts: Parts) -> Distribution:
-        maps = maps_of(raw)
+        maps = maps_of(raw | self.known)
         ambient = maps.pop("ambient")
-        most = maps["specular_mask"].max().clamp(min=torch.finfo(maps["specular_mask"].dtype).tiny)
-        maps |= {"specular_mask": maps["specular_mask"] / most, "specular": maps["specular"] * most}
-        tiles = self.surface.training.tiles
+        if not self.surface.training.shared:  # else other texels share the maps, and say what is the most
+            maps |= to_one(maps)
         if self.height is not None:
-            own = slopes_from_height(self.height, tiles=tiles)
-            maps |= {"normal": normals_from_slopes(raw["slopes"] - own), "height": self.height, "ambient": ambient}
+            maps |= {"height": self.height, "ambient": ambient}
+            if parts.normal:
+                maps["normal"] = normals_from_slopes(raw["slopes"] - self.surface.slopes)
         return Distribution(
             {name: value.detach() for name, value in maps.items()}, lobes=parts.lobes, parts=parts.names,
-            storage=self.storage, tiles=tiles,
+            storage=self.options.storage, tiles=self.surface.training.tiles,
         )

@@ -15,25 +15,31 @@ from torchmat.fit.surface import Surface
 from torchmat.fit.training import Training
 from torchmat.frames import half_vector, tangent_frame
 from torchmat.geometry import normals_from_slopes
+from torchmat.models.distribution import default_tilt
 from torchmat.repeatable import one_thread
 
 BLOCK_VALUES = 2_000_000
+_LEVEL = 1e-3  # of the tilt at 0 and 90 degrees, which a logit does not reach
 OUTSTANDING = 10  # times the usual texel: brighter ones count as that bright where one number stands for all
 
 
 @dataclass(frozen=True)
 class Parts:
-    """What the material is made of."""
+    """What the material is made of: without lobes nothing that belongs to them."""
 
     lobes: int
     fresnel: bool
     rotation: bool
+    tilt: bool = False
+    normal: bool = True
+    specular_mask: bool = True
 
     @property
     def names(self) -> list[str]:
         """The optional parts of the model, the normal among them."""
-        given = {"fresnel": self.fresnel, "rotation": self.rotation, "specular_mask": True, "normal": True}
-        return [name for name, there in given.items() if there]
+        of_lobes = ("specular_mask", "fresnel", "rotation", "tilt")
+        there = [name for name in of_lobes if self.lobes and getattr(self, name)]
+        return ["normal", *there] if self.normal else there
 
 
 def sample_runs(btf: Btf) -> list[slice]:
@@ -57,29 +63,56 @@ def raw_maps(starts: dict[str, Tensor], parts: Parts, size: int, training: Train
         "slopes": starts["slopes"].clone(),
         "specular": (math.log(0.1 * brightness) + 0.01 * noise - 4 * distance).contiguous(),
         "specular_mask": torch.zeros_like(mean[:1]),
+        "fresnel": torch.full_like(mean[:1], -2.0),
+        "rotation": starts["rotation"].clone(),
+        "tilt": torch.logit(default_tilt(dtype).clamp(_LEVEL, 1 - _LEVEL)),
     }
+    there = {"diffuse", "ambient", *parts.names} | ({"specular"} if parts.lobes else set())
+    raw = {name: value for name, value in raw.items() if name in there or (name == "slopes" and parts.normal)}
     if parts.lobes > 1:
-        raw["index"] = _start_index(starts["features"], parts.lobes, training)
-    if parts.fresnel:
-        raw["fresnel"] = torch.full_like(mean[:1], -2.0)
-    if parts.rotation:
-        raw["rotation"] = starts["rotation"].clone()
+        groups = training.shared.get("groups")
+        if groups is None:
+            groups = group_texels(starts["features"], parts.lobes, training.seed)
+        raw["index"] = _start_index(starts["features"], parts.lobes, groups)
     return raw
 
 
-def _start_index(features: Tensor, lobes: int, training: Training) -> Tensor:
-    """Return logits [lobes, H, W] by k-means of the texels' features."""
+def to_one(maps: dict[str, Tensor]) -> dict[str, Tensor]:
+    """Return mask and specular maps of the same products, with a mask whose largest value is 1; nothing without a mask."""
+    if "specular_mask" not in maps:
+        return {}
+    mask = maps["specular_mask"]
+    most = mask.max().clamp(min=torch.finfo(mask.dtype).tiny)
+    return {"specular_mask": mask / most, "specular": maps["specular"] * most}
+
+
+def group_texels(features: Tensor, lobes: int, seed: int) -> Tensor:
+    """Return what groups the texels by their features [C, H, W]: rows mean, spread, and a centre a group, [2 + k, C].
+
+    Centres are those of k-means over the features less their mean, by their spread; at most `lobes`, float64.
+    """
     from sklearn.cluster import KMeans
     from threadpoolctl import threadpool_limits  # comes with scikit-learn
 
-    rows = features.flatten(1).T.double().numpy()
+    rows = features.flatten(1).double()
+    with one_thread():
+        mean, spread = rows.mean(dim=1), rows.std(dim=1, correction=0).clamp(min=1e-3)
+    rows = ((rows.T - mean) / spread).numpy()
     some = rows[:: max(1, len(rows) // 20000)]
     clusters = min(lobes, len(np.unique(some, axis=0)))
     # Threads of k-means add their sums in the order in which they finish.
     with threadpool_limits(1, user_api="openmp"):
-        found = KMeans(clusters, n_init=4, random_state=training.seed).fit(some).predict(rows)
-    chosen = torch.nn.functional.one_hot(torch.from_numpy(found).long(), lobes).T.to(features.dtype)
-    return (2 * chosen - 1).reshape(lobes, *features.shape[-2:]).contiguous()
+        found = KMeans(clusters, n_init=4, random_state=seed).fit(some)
+    return torch.stack((mean, spread, *torch.from_numpy(found.cluster_centers_)))
+
+
+def _start_index(features: Tensor, lobes: int, groups: Tensor) -> Tensor:
+    """Return logits [lobes, H, W] that give each texel to its nearest group."""
+    mean, spread, centres = groups[0, :, None, None], groups[1, :, None, None], groups[2:, :, None, None]
+    placed = (features.double() - mean) / spread
+    nearest = torch.stack([(placed - centre).square().sum(dim=0) for centre in centres]).argmin(dim=0)
+    chosen = torch.nn.functional.one_hot(nearest, lobes).movedim(-1, 0).to(features.dtype)
+    return (2 * chosen - 1).contiguous()
 
 
 def _weights(logits: Tensor) -> Tensor:
@@ -87,11 +120,16 @@ def _weights(logits: Tensor) -> Tensor:
     return weight / weight.sum(dim=0)
 
 
+def _share(logit: Tensor) -> Tensor:
+    return 1 / (1 + (-logit).exp())
+
+
 # How a parameter becomes a map; the others are logarithms. torch's softmax and sigmoid round otherwise in what remains of a
 # thread's share, as its power does; exp does not.
 _WAYS = {
     "index": _weights,
-    "fresnel": lambda logit: 1 / (1 + (-logit).exp()),
+    "fresnel": _share,
+    "tilt": _share,
     "rotation": lambda angle: torch.cat((torch.cos(angle), torch.sin(angle))),
 }
 
@@ -133,6 +171,4 @@ def _moments(sums: Tensor, level: Tensor, mean: Tensor, samples: int) -> dict[st
     bright = torch.log1p(total / samples / level.clamp(min=1e-12))
     share = mean.flatten(1) / mean.flatten(1).sum(dim=0).clamp(min=1e-12)
     features = torch.stack((*share, bright, strength * 10))
-    spread = features.std(dim=1, keepdim=True, correction=0).clamp(min=1e-3)
-    features = (features - features.mean(dim=1, keepdim=True)) / spread
     return {"rotation": angle.reshape(1, *size), "features": features.reshape(-1, *size)}

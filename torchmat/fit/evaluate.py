@@ -10,13 +10,16 @@ import torch
 from torch import Tensor
 
 from torchmat import frames
-from torchmat.btf import Btf
+from torchmat.btf import Btf, Split
 from torchmat.metrics import SampleErrors
 from torchmat.models import Material
+from torchmat.models.edit import resized
 from torchmat.progress import progress as progress_bar
 
 BAND_DEG = 15
 PERCEPTUAL_SAMPLES = 256  # SSIM and CIEDE2000 cost far more than the rest; an even choice of samples is enough
+PARTS = ("train", "held_out", "held_out_after_export")
+_TRAIN_SAMPLES = 512  # the training error is measured on at most so many samples, evenly chosen
 _VALUES = 1_000_000  # values of one batch: larger ones leave the processor's cache and take three times as long
 
 
@@ -47,6 +50,31 @@ def evaluate(
     looked_at = torch.zeros(len(indices), dtype=torch.bool)
     if perceptual:
         looked_at[torch.linspace(0, len(indices) - 1, min(len(indices), PERCEPTUAL_SAMPLES)).round().long()] = True
+    errors = sample_errors(material, btf, indices, looked_at, progress)
+    report: dict[str, Any] = {"samples": len(indices), **errors.report()}
+    report["by_angle"] = _bands(errors, btf.light[indices], "light") + _bands(errors, btf.view[indices], "view")
+    return Evaluation(report, errors.per_sample_display())
+
+
+def comparable(material: Material, btf: Btf) -> tuple[Material, Btf]:
+    """Return a material and the images of the texels that it covers, of one size.
+
+    A material that is a part of a texture is compared with that part of the images, one of a lower resolution is brought
+    to theirs: what it has lost counts as error.
+    """
+    if material.cutout is None:
+        return material, btf
+    part = material.cutout
+    if (btf.height, btf.width) == (part.whole_height, part.whole_width):
+        btf = btf.window(part.top, part.left, part.height, part.width)
+    return resized(material, (btf.height, btf.width)), btf
+
+
+def sample_errors(
+    material: Material, btf: Btf, indices: Tensor, looked_at: Tensor, progress: bool | None = False
+) -> SampleErrors:
+    """Return the errors of `material` on samples `indices`, of which `looked_at` (bool) get SSIM and CIEDE2000."""
+    material, btf = comparable(material, btf)
     errors = SampleErrors()
     batch = max(1, _VALUES // (3 * btf.height * btf.width))
     parts = torch.arange(len(indices)).split(batch)
@@ -56,9 +84,19 @@ def evaluate(
         target = btf.images(rows, prediction.dtype)
         clipped = btf.clipped(rows) & (target >= btf.clip_level)
         errors.add(prediction, target, btf.valid(rows), clipped, looked_at[part])
-    report: dict[str, Any] = {"samples": len(indices), **errors.report()}
-    report["by_angle"] = _bands(errors, btf.light[indices], "light") + _bands(errors, btf.view[indices], "view")
-    return Evaluation(report, errors.per_sample_display())
+    return errors
+
+
+def evaluate_parts(
+    btf: Btf, material: Material, split: Split, progress: bool | None = False
+) -> tuple[dict[str, Any], Evaluation | None]:
+    """Return the figures of each of PARTS, None for what is not held out, and what was measured on held-out samples."""
+    report: dict[str, Any] = {"train": evaluate(material, btf, split.train, _TRAIN_SAMPLES, progress).report}
+    held_out = evaluate(material, btf, split.held_out, None, progress) if len(split.held_out) else None
+    report["held_out"] = held_out.report if held_out else None
+    after = evaluate(material.as_exported(), btf, split.held_out, None, progress).report if held_out else None
+    report["held_out_after_export"] = after
+    return report, held_out
 
 
 def _bands(errors: SampleErrors, direction: Tensor, which: str) -> list[dict[str, Any]]:

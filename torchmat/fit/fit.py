@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -16,22 +16,22 @@ from torchmat.btf import Btf, Split, split_samples
 from torchmat.errors import RangeError, message
 from torchmat.fit.auto import fit_auto
 from torchmat.fit.config import FitConfig, load_config
-from torchmat.fit.evaluate import Evaluation, evaluate, shading_rate
+from torchmat.fit.evaluate import PARTS, evaluate, evaluate_parts, shading_rate
 from torchmat.fit.for_scene import fit_for_scene
 from torchmat.fit.on_relief import fit_with_geometry
 from torchmat.fit.registry import AUTO, resolve_options
 from torchmat.fit.target import make_target
+from torchmat.fit.tile_files import clear_work
+from torchmat.fit.scene_report import scene_figures
 from torchmat.fit.tiled import fit_tiled
 from torchmat.fit.training import Fitted, Training, make_training
 from torchmat.fit.watch import Watch
 from torchmat.geometry import Relief
 from torchmat.machine import peak_memory_mb, versions
 from torchmat.models import Material
-from torchmat.scene_use import SceneUse
+from torchmat.scene_use import SceneUse, Usable, as_use
 
 _CURVE_SAMPLES = 64  # held-out samples that a curve of error against seconds is measured on
-_TRAIN_SAMPLES = 512  # the training error is measured on at most so many samples, evenly chosen
-_PARTS = ("train", "held_out", "held_out_after_export")
 
 
 @dataclass(frozen=True)
@@ -67,7 +67,7 @@ def fit(
     psnr: float | None = None,
     bytes: float | None = None,
     seconds: float | None = None,
-    scene: SceneUse | None = None,
+    scene: SceneUse | Usable | Sequence[SceneUse | Usable] | None = None,
     tile: int | None = None,
     memory_mb: float | None = None,
     work: str | Path | None = None,
@@ -90,10 +90,10 @@ def fit(
 
     The model "auto" is the choice among all: the smallest material whose relative `error` or `psnr` (dB) on held-out
     samples is as wanted, or the best within so many `bytes` a texel and `seconds`; see `fit.auto`. Of any other model
-    `seconds` stops an iterative solver, with the best so far. `scene` fits only the texels, lights and views that a
-    scene uses (`Scene.use`), weighted as it uses them. `tile` texels on a side are fitted at a time, or as many as
-    `memory_mb` allows; finished tiles are kept in the folder `work`, where a run that was killed goes on. `curve` records
-    the held-out error against seconds as `history`.
+    `seconds` stops an iterative solver, with the best so far. `scene`, a Scene or a list of them, fits only the texels,
+    lights and views that it uses, weighted as it uses them; the report then says what that saves and costs. `tile`
+    texels on a side are fitted at a time, or as many as `memory_mb` allows; finished tiles are kept in the folder `work`,
+    where a run that was killed goes on. `curve` records the held-out error against seconds as `history`.
 
     Raises RangeError for unknown models or options, FitError when the data cannot determine the model.
     """
@@ -106,16 +106,17 @@ def fit(
         raise RangeError(message("fit", "dtype", "be torch.float32 or torch.float64", f"it is {dtype}"))
     chosen = resolve_options(config.model, config.options)
     split = split_samples(btf, config.holdout, config.holdout_by, config.seed)
+    use = None if scene is None else as_use(scene)  # found before the clock starts, as images are decoded before
     watch = Watch(config.target.get("seconds", math.inf), _held_out_error(btf, split) if curve else None)
     training = make_training(btf, split.train, config.seed, config.tiles, dtype, progress, watch)
     with torch.no_grad():
-        fitted = _fitted(training, config, chosen, config.geometry if given_height is None else given_height, scene, work)
+        fitted = _fitted(training, config, chosen, config.geometry if given_height is None else given_height, use, work)
         watch.note(lambda: fitted.material)
     seconds = watch.seconds
     covered = btf if fitted.window is None else btf.window(*fitted.window)
-    report, held_out = _report(covered, fitted.material, split, progress) if measure else (dict.fromkeys(_PARTS), None)
+    report, held_out = evaluate_parts(covered, fitted.material, split, progress) if measure else (dict.fromkeys(PARTS), None)
     report = {
-        "model": fitted.material.name, "options": chosen, "samples": len(btf), "texels": btf.height * btf.width,
+        "model": fitted.material.name, "options": _options_used(chosen, fitted), "samples": len(btf), "texels": btf.height * btf.width,
         "seed": config.seed, "holdout": config.holdout, "holdout_by": config.holdout_by,
         "geometry": config.geometry if given_height is None else "given", "tiles": config.tiles,
         "bytes_per_texel": fitted.material.bytes_per_texel, "shared_bytes": fitted.material.shared_bytes,
@@ -124,7 +125,12 @@ def fit(
         "stop_reason": fitted.stop_reason, "target": config.target, **report, "coverage": _coverage(fitted.coverage),
         **_source(btf), "figures": fitted.figures, "curve": watch.history, "versions": versions(),
     }
+    if use is not None:
+        figures = scene_figures(btf, fitted.material, split, use, config.tiles, measure, progress)
+        report["scene"] = {**fitted.figures["scene"], **figures}
     errors = held_out.per_sample if held_out else None
+    if work is not None:
+        clear_work(work)
     return FitResult(
         fitted.material, fitted.stop_reason, report, split, fitted.coverage, errors, fitted.relief,
         watch.history or fitted.history,
@@ -137,10 +143,15 @@ def _fitted(
 ) -> Fitted:
     """Return what the config asks for: a model, whole or tile by tile, or the choice among models; for a scene or all."""
     if scene is not None:
-        return fit_for_scene(training, config, options, geometry, scene)
+        return fit_for_scene(training, config, options, geometry, scene, work)
+    by_tiles = config.tile or config.memory_mb or work is not None
     if config.model == AUTO:
+        if by_tiles:
+            step = "Let it choose on a crop of the images, then fit the model that it picked by tiles."
+            fact = "tile, memory_mb or work is given"
+            raise RangeError(message("fit auto", "the choice", "be made on all texels at once", fact, step))
         return fit_auto(training, make_target("fit", config.target), geometry)
-    if config.tile or config.memory_mb or work is not None:
+    if by_tiles:
         return fit_tiled(training, config.model, options, geometry, config.tile, config.memory_mb, work)
     return fit_with_geometry(training, config.model, options, geometry)
 
@@ -174,15 +185,9 @@ def _resolve(
     return dataclasses.replace(base, **given, target={**base.target, **wanted}, options={**base.options, **options})
 
 
-def _report(
-    btf: Btf, material: Material, split: Split, progress: bool | None
-) -> tuple[dict[str, Any], Evaluation | None]:
-    report: dict[str, Any] = {"train": evaluate(material, btf, split.train, _TRAIN_SAMPLES, progress).report}
-    held_out = evaluate(material, btf, split.held_out, None, progress) if len(split.held_out) else None
-    report["held_out"] = held_out.report if held_out else None
-    after = evaluate(material.as_exported(), btf, split.held_out, None, progress).report if held_out else None
-    report["held_out_after_export"] = after
-    return report, held_out
+def _options_used(chosen: dict[str, Any], fitted: Fitted) -> dict[str, Any]:
+    choice = fitted.figures.get("auto")
+    return choice["chosen"]["options"] if choice else chosen
 
 
 def _coverage(coverage: Tensor | None) -> dict[str, float] | None:

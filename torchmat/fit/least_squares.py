@@ -25,13 +25,20 @@ class Design:
     `basis` [sample, rank] has orthonormal columns (rows of samples that do not take part are 0); `back` [rank, K];
     `to_coefficients` [K, rank] is the way back, of minimum norm where columns depend on each other. Products are
     summed in the orthonormal basis, where float32 does not lose the digits that the squared condition number of the
-    plain normal equations would. `penalty` is what a squared coefficient costs.
+    plain normal equations would. `penalty` is what a squared coefficient costs. `root` [sample] is the root of what each
+    sample counts, None for all alike: the matrix is then the one whose rows are multiplied with it.
     """
 
     basis: Tensor
     back: Tensor
     to_coefficients: Tensor
     penalty: float
+    root: Tensor | None = None
+
+    @property
+    def left(self) -> Tensor:
+        """What values are multiplied with, [sample, rank]: the basis, its rows times the root of what they count."""
+        return self.basis if self.root is None else self.basis * self.root[:, None]
 
     @property
     def rank(self) -> int:
@@ -44,11 +51,13 @@ class Design:
         return self.back.shape[1]
 
 
-def make_design(matrix: Tensor, used: Tensor, ridge: float = 0.0) -> Design:
-    """Factorise `matrix` [sample, K] over the samples that are `used` (bool).
+def make_design(matrix: Tensor, used: Tensor, ridge: float = 0.0, importance: Tensor | None = None) -> Design:
+    """Factorise `matrix` [sample, K] over the samples that are `used` (bool), each of which counts `importance` [sample].
 
     `ridge` penalises squared coefficients, as a share of the columns' mean energy; 0 is plain least squares.
     """
+    root = None if importance is None else importance.double().sqrt()
+    matrix = matrix if root is None else matrix.double() * root[:, None]
     matrix = torch.where(used[:, None], matrix.double(), torch.zeros((), dtype=torch.float64))
     # The rank is judged on columns of one length, so that it does not depend on the terms' units.
     length = matrix.norm(dim=0)
@@ -65,7 +74,7 @@ def make_design(matrix: Tensor, used: Tensor, ridge: float = 0.0) -> Design:
     if penalty > 0:
         damped = back.T @ back + penalty * torch.eye(back.shape[1], dtype=back.dtype)
         way_back = torch.linalg.solve(damped, back.T)
-    return Design(basis, back, way_back, penalty)
+    return Design(basis, back, way_back, penalty, root)
 
 
 @dataclass(frozen=True)
@@ -80,7 +89,7 @@ def stream_moments(
     btf: Btf, design: Design, used: Tensor, dtype: torch.dtype = torch.float32, progress: bool | None = False
 ) -> Moments:
     """Make the one pass over the images of `btf` that a linear fit needs."""
-    basis = design.basis.to(dtype)
+    basis = design.left.to(dtype)
     total = torch.zeros(design.rank, 3 * btf.height * btf.width, dtype=dtype)
     means = torch.zeros(len(btf), 3, dtype=torch.float64)
     for block in btf.blocks(used, dtype, progress):
@@ -128,7 +137,7 @@ def stream_deficit(btf: Btf, design: Design, used: Tensor, explained: Tensor) ->
     rank, texels = design.rank, btf.height * btf.width
     row, column = torch.triu_indices(rank, rank)
     pairs = design.basis[:, row] * design.basis[:, column]
-    offsets = (design.basis[:, :, None] * explained.double()[:, None, :]).flatten(1)
+    offsets = (design.left[:, :, None] * explained.double()[:, None, :]).flatten(1)
     columns = torch.cat((pairs, offsets), dim=1)
     total, touched = None, torch.zeros(texels, dtype=torch.bool)
     for samples, weight in btf.weight_blocks(used):
@@ -170,7 +179,7 @@ def solve_texels(
         explained = torch.zeros(len(btf), 3, dtype=torch.float64)
     explained = torch.where(used[:, None], explained.double(), torch.zeros((), dtype=torch.float64))
     dtype = moments.product.dtype
-    shared = product(design.basis.T, explained)  # [rank, 3]
+    shared = product(design.left.T, explained)  # [rank, 3]
     target = moments.product - shared[:, :, None, None].to(dtype)
     coefficients = wide_product(design.to_coefficients.to(dtype), target.flatten(1)).unflatten(1, target.shape[1:])
     coverage = torch.full((1, btf.height, btf.width), design.rank / design.terms)
@@ -178,7 +187,7 @@ def solve_texels(
     if deficit is not None:
         # What only clipped samples tell has at most their weight's share of the full information.
         # Weights are float32: all samples clipped must not count as just above it.
-        floor = max(_DETERMINED, btf.clipped_weight * (1 + 1e-5) if btf.clipped_share > 0 else 0.0)
+        floor = max(_DETERMINED, btf.clipped_weight * (1 + 1e-5) if btf.may_clip else 0.0)
         flat, ranks = coefficients.flatten(2), coverage.flatten()
         for part in torch.arange(len(deficit.texels)).split(_TEXELS):
             texels = deficit.texels[part]

@@ -10,7 +10,7 @@ from torchmat.errors import RangeError, check_option, message
 from torchmat.fit.least_squares import Design, LinearFit, Moments, make_design, solve_texels, stream_moments
 from torchmat.fit.surface import Surface
 from torchmat.fit.training import Fitted, Training
-from torchmat.geometry import normals_from_slopes, slopes_from_height
+from torchmat.geometry import normals_from_slopes
 from torchmat.models import Hsh, Lambert, Lptm, Ptm, Texture
 from torchmat.models.bases import BASES
 from torchmat.models.linear import HSH_TERMS, NORMALS
@@ -23,7 +23,7 @@ def design_of(training: Training, basis: str, ridge: float = 0.0) -> Design:
     """Return the design matrix that `basis` makes of the training directions."""
     light, view = training.light.double(), training.view.double()
     matrix = BASES[basis].evaluate(light, view)[:, :, 0, 0]
-    return make_design(matrix, training.used, ridge)
+    return make_design(matrix, training.used, ridge, training.importance)
 
 
 def _solve(training: Training, basis: str) -> tuple[Design, Moments, LinearFit]:
@@ -60,7 +60,7 @@ def fit_lptm(training: Training, *, storage: str = "half") -> Fitted:
     """
     design, moments, solved = _solve(training, "polynomial")
     luminance = colour.luminance(solved.coefficients, dim=1)
-    ones = product(design.basis.T, training.used.double()).to(training.dtype)
+    ones = product(design.left.T, training.used.double()).to(training.dtype)
     total = torch.einsum("r,rchw->chw", ones, moments.product).clamp(min=0)
     brightness = colour.luminance(total)
     grey = torch.ones_like(total)
@@ -80,7 +80,7 @@ def fit_lambert(training: Training, *, normals: str = "auto", storage: str = "ha
         step = "Use geometry='recover' or a height map, or normals='map'."
         raise RangeError(message("fit lambert", "normals='height'", "have a height", "the geometry is flat", step))
     btf, used, dtype = training.btf, training.used, training.dtype
-    design = make_design(btf.light.double(), used)
+    design = make_design(btf.light.double(), used, importance=training.importance)
     moments = stream_moments(btf, design, used, dtype, training.progress)
     solved = solve_texels(btf, design, moments, used)
     normal = safe.normalise(colour.luminance(solved.coefficients, dim=1))
@@ -93,27 +93,31 @@ def fit_lambert(training: Training, *, normals: str = "auto", storage: str = "ha
 
 
 def fit_lambert_on_relief(
-    surface: Surface, height: Tensor, *, normals: str = "auto", storage: str = "half"
+    surface: Surface, height: Tensor, *, normals: str = "auto", solver: str = "closed_form", storage: str = "half"
 ) -> Fitted | None:
-    """Fit albedo and ambient colour of each texel for the normals of the height; None for normals="map".
+    """Fit albedo and ambient colour of each texel for the normals of the height, in closed form.
+
+    Returns None for normals="map" and for other solvers: they take the way of all models, with a normal map.
 
     ``value = albedo * lit * max(0, n.l) + ambient``, both non-negative: two unknowns a channel. Samples weigh the less
     the brighter they are, as they do to the eye; without that, PSNR on deep relief is 0.6 dB lower.
     """
     check_option("fit lambert", "normals", normals, ("auto", *NORMALS))
-    if normals == "map":
+    if normals == "map" or (normals == "auto" and solver != "closed_form"):
         return None
     training = surface.training
     btf, dtype = training.btf, training.dtype
-    normal = normals_from_slopes(slopes_from_height(height.to(dtype), tiles=training.tiles)).flatten(1)
+    normal = normals_from_slopes(surface.slopes).flatten(1)
     size = (btf.height, btf.width)
     left, right = torch.zeros(3, *size, dtype=dtype), torch.zeros(2, 3, *size, dtype=dtype)
-    level = _EYE * _mean_value(training)
+    mean_value = training.shared.get("mean_value") or _mean_value(training)
+    level = _EYE * mean_value
     for block in btf.blocks(None, dtype, training.progress):
         light = btf.light[block.samples.start : block.samples.stop].to(dtype)
         direct = (light @ normal).clamp_(min=0).reshape(-1, 1, *size) * surface.shadow(block.samples)
         weight = 1 / (block.images.mean(dim=1, keepdim=True) + level)
         weight = weight if block.weight is None else weight * block.weight
+        weight = training.counted(weight, block.samples)
         weighted = weight * direct
         left += torch.stack([(weighted * direct)[:, 0].sum(0), weighted[:, 0].sum(0), weight[:, 0].sum(0)])
         right[0] += (block.images * weighted).sum(dim=0)
@@ -121,7 +125,8 @@ def fit_lambert_on_relief(
     albedo, ambient = _two_non_negative(*left, *right)
     lit = ((left[0] > 0) & (left[2] > 0)).to(dtype)[None]
     maps = {"albedo": albedo, "height": height.to(dtype), "ambient": ambient}
-    return Fitted(Lambert(maps, normals="height", storage=storage, tiles=training.tiles), coverage=lit)
+    material = Lambert(maps, normals="height", storage=storage, tiles=training.tiles)
+    return Fitted(material, coverage=lit, shared={"mean_value": mean_value})
 
 
 def _mean_value(training: Training) -> float:
@@ -156,6 +161,7 @@ def _albedo(training: Training, normal: Tensor) -> Tensor:
     for block in btf.blocks(training.used, dtype, training.progress):
         shading = (light[block.samples.start : block.samples.stop] @ flat).clamp_(min=0)
         weighted = shading if block.weight is None else shading * block.weight[:, 0].flatten(1)
+        weighted = training.counted(weighted, block.samples)
         # In place and plane by plane: einsum turns this into a product per texel, 50 times slower.
         denominator += (weighted * shading).sum(dim=0)
         numerator += block.images.flatten(2).mul_(weighted[:, None]).sum(dim=0)

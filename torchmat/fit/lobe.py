@@ -84,14 +84,16 @@ def by_differences(residual: Callable[[Tensor], Tensor]) -> Callable[[Tensor], T
 
 
 def fit_lobe(
-    lobe: Lobe, light: Tensor, view: Tensor, values: Tensor, differences: bool = False
+    lobe: Lobe, light: Tensor, view: Tensor, values: Tensor, differences: bool = False, importance: Tensor | None = None
 ) -> tuple[Tensor, str]:
     """Return (parameters [P], stop reason) of the lobe nearest to `values` [m, 3] at planes `light`, `view`, float64.
 
-    From every start for a few steps, then the best is carried through. `differences` takes the Jacobian from central
+    From every start for a few steps, then the best is carried through. `importance` [m] is what each value counts, None
+    for all alike. `differences` takes the Jacobian from central
     differences where the lobe has no formula.
     """
-    problem = LobeProblem(lobe, light, view, values, torch.ones(1, 1, dtype=values.dtype))
+    root = torch.ones(1, 1, dtype=values.dtype) if importance is None else importance.to(values.dtype).sqrt()[:, None]
+    problem = LobeProblem(lobe, light, view, values, root)
     settings = {"jacobian": by_differences(problem.residual)} if differences and lobe.jacobian is None else {}
     explored = problem.solve(scaled_starts(lobe, values), max_steps=6, **settings)
     solution = problem.solve(explored.parameters[explored.cost.argmin()][None], **settings)

@@ -16,14 +16,17 @@ from torchmat.fit.evaluate import evaluate
 from torchmat.fit.linear import fit_lambert_on_relief
 from torchmat.fit.recover import recover_relief
 from torchmat.fit.registry import FITTERS
-from torchmat.fit.surface import ambient, bring_onto, without_shadow
+from torchmat.fit.surface import Sight, ambient_and_usual, bring_onto, without_shadow
 from torchmat.fit.training import Fitted, Training
+from torchmat.fit.window import Window
 from torchmat.geometry.normals import LARGEST_SCALE
 
 GEOMETRIES = ("flat", "recover")
 _VALIDATION, _VALIDATION_SAMPLES = 0.1, 200
 # What a relief is worth shows long before the last step of an iterative fit.
-_QUICK = {"distribution": {"lobes": 1, "fresnel": "yes", "rotation": "yes", "effort": 0.15}}
+_QUICK = {
+    "distribution": {"lobes": 1, "fresnel": "yes", "rotation": "yes", "effort": 0.15}, "neural": {"effort": 0.1},
+}
 
 
 def check_given_height(height: Tensor, training: Training) -> Tensor:
@@ -50,51 +53,64 @@ _OWN_WAYS: dict[str, Callable[..., Fitted | None]] = {
 }
 
 
-def fit_on_relief(training: Training, model: str, options: dict[str, Any], height: Tensor) -> Fitted:
-    """Fit a model to the samples on the surface of `height` and return it on that relief."""
+def fit_on_relief(
+    training: Training, model: str, options: dict[str, Any], height: Tensor, window: Window | None = None,
+    sight: Sight | None = None,
+) -> Fitted:
+    """Fit a model to the samples on the surface of `height` and return it on that relief.
+
+    Of a `window` only its texels are fitted; `sight` is that of the whole height where it is known.
+    """
     height = height.to(training.dtype)
-    surface = bring_onto(training, height)
+    surface = bring_onto(training, height, window=window, sight=sight)
+    height = height if window is None else window.crop(height)
     fitted = _OWN_WAYS[model](surface, height, **options) if model in _OWN_WAYS else None
     if fitted is not None:
         return fitted
-    shadowed = ambient(surface)
-    fitted = _fit_flat(without_shadow(surface, shadowed), model, options)
-    return replace(fitted, material=fitted.material.on_relief(height, shadowed))
+    shadowed, usual = ambient_and_usual(surface)
+    fitted = fit_flat(without_shadow(surface, shadowed), model, options)
+    material = fitted.material.on_relief(height, shadowed)
+    return replace(fitted, material=material, shared={**fitted.shared, "usual_ambient": usual})
 
 
-def _fit_flat(training: Training, model: str, options: dict[str, Any]) -> Fitted:
+def fit_flat(training: Training, model: str, options: dict[str, Any]) -> Fitted:
+    """Fit a model to a flat surface, which repeats or not as the training says."""
     fitted = FITTERS[model](training, **options)
     return replace(fitted, material=fitted.material.repeating(training.tiles))
 
 
-def fit_with_geometry(training: Training, model: str, options: dict[str, Any], geometry: str | Tensor) -> Fitted:
+def fit_with_geometry(
+    training: Training, model: str, options: dict[str, Any], geometry: str | Tensor,
+    recovered_from: Training | None = None,
+) -> Fitted:
     """Fit a model on a flat surface, on a given height map, or on the relief that the data shows ("recover").
 
     A relief that was recovered is kept if it makes the model better on training samples that neither fit has seen;
-    what was compared stands in the figures.
+    what was compared stands in the figures. `recovered_from` are samples of the same texels that the relief is
+    recovered from, where they are not those that are fitted.
     """
     if isinstance(geometry, Tensor):
         return fit_on_relief(training, model, options, check_given_height(geometry, training))
     check_option("fit", "geometry", geometry, GEOMETRIES)
     if geometry == "flat":
-        return _fit_flat(training, model, options)
+        return fit_flat(training, model, options)
     start = time.perf_counter()
-    relief, figures = recover_relief(training)
+    relief, figures = recover_relief(recovered_from or training)
     figures = {**figures, "recovery_seconds": time.perf_counter() - start}
     height = relief.height
     if float(height.abs().max()) == 0:
         chosen = "flat"
     else:
-        chosen, compared = _compare(training, model, options, height)
+        chosen, compared = compare_with_flat(training, model, options, height)
         figures |= {"chosen": chosen, "validation_psnr_db": compared}
     if chosen == "flat":
-        fitted = _fit_flat(training, model, options)
+        fitted = fit_flat(training, model, options)
     else:
         fitted = replace(fit_on_relief(training, model, options, height), relief=relief)
     return replace(fitted, figures={**fitted.figures, "geometry": {**figures, "chosen": chosen}})
 
 
-def _compare(training: Training, model: str, options: dict[str, Any], height: Tensor) -> tuple[str, dict[str, float]]:
+def compare_with_flat(training: Training, model: str, options: dict[str, Any], height: Tensor) -> tuple[str, dict[str, float]]:
     """Return "flat" or "recover", whichever is better on a tenth of the training samples, and the PSNR of both."""
     rows = training.used.nonzero()[:, 0]
     generator = torch.Generator().manual_seed(training.seed)
@@ -105,7 +121,7 @@ def _compare(training: Training, model: str, options: dict[str, Any], height: Te
         return "recover", {}
     part = replace(training, used=used)
     quick = {**options, **_QUICK.get(model, {})}
-    rivals = {"flat": _fit_flat(part, model, quick), "recover": fit_on_relief(part, model, quick, height)}
+    rivals = {"flat": fit_flat(part, model, quick), "recover": fit_on_relief(part, model, quick, height)}
     found = {
         way: evaluate(fitted.material, training.btf, kept_back, _VALIDATION_SAMPLES).report["psnr_db"]
         for way, fitted in rivals.items()

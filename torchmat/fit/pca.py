@@ -19,6 +19,7 @@ _POWER_STEPS = 2
 _KEEP_VALUES = 64_000_000  # training images up to this many values (256 MB) are decoded once and kept
 _LLOYD_STEPS = 30
 _RESTARTS = 2
+_LEAST_COUNT = 1e-6  # of the mean
 
 
 class _Images:
@@ -27,13 +28,16 @@ class _Images:
     Clipped samples stay as they are: a factorisation has no weights, and the mean would put out their highlights.
     """
 
-    def __init__(self, training: Training) -> None:
+    def __init__(self, training: Training, keep: bool = True) -> None:
         self.training = training
         self.rows = training.used.nonzero()[:, 0]
+        counts = None if training.importance is None else training.importance[self.rows]
+        # What counts nothing is still divided by: it stays below what a float of the others holds.
+        self._root = None if counts is None else counts.clamp(min=_LEAST_COUNT).sqrt().to(training.dtype)
         btf = training.btf
         self.texels = btf.height * btf.width
         self._mean = self._texel_mean() if btf.invalid_share > 0 or btf.clipped_share > 0 else None
-        small = len(self.rows) * 3 * self.texels <= _KEEP_VALUES
+        small = keep and len(self.rows) * 3 * self.texels <= _KEEP_VALUES
         self._kept = [(s, images.clone()) for s, images in self._read()] if small else None
 
     def _texel_mean(self) -> Tensor:
@@ -54,11 +58,21 @@ class _Images:
             if block.weight is not None:
                 images = torch.where(block.weight > 0, images, self._mean)
             images = images[used]
+            if self._root is not None:
+                images = images * self._root[start : start + len(images), None, None, None]
             yield slice(start, start + len(images)), images
             start += len(images)
 
+    def plain(self, table: Tensor) -> Tensor:
+        """Return a table [sample, ...] of the matrix as that of the images, whose rows were not weighed."""
+        return table if self._root is None else table / self._root.reshape(-1, *[1] * (table.ndim - 1))
+
+    def weighed(self, table: Tensor) -> Tensor:
+        """Return a table [sample, ...] of the images as that of the matrix, the reverse of `plain`."""
+        return table if self._root is None else table * self._root.reshape(-1, *[1] * (table.ndim - 1))
+
     def runs(self):
-        """Yield (rows of the matrix, images [k, 3, texels])."""
+        """Yield (rows of the matrix, images [k, 3, texels]); with `importance` a row is weighed by its root."""
         for rows, images in self._kept if self._kept is not None else self._read():
             yield rows, images.flatten(2)
 
@@ -77,6 +91,8 @@ def _range_finder(
 
 def fit_pca(training: Training, *, components: int = 16, storage: str = "half") -> Fitted:
     """Truncated SVD of the matrix whose rows are images; not centred, as BTF compression usually is."""
+    if "weight" in training.shared:
+        return _pca_of(training, components, storage)
     images = _Images(training)
     count = len(images.rows)
     _require("components", components, min(count, 3 * images.texels))
@@ -98,9 +114,25 @@ def fit_pca(training: Training, *, components: int = 16, storage: str = "half") 
     # Images are projected, not taken from the SVD: a dark texel beside a highlight of 1e6 times keeps its digits.
     maps = {
         "component": product(leading.T, rest).reshape(-1, training.btf.height, training.btf.width),
-        "weight": product(found, leading).T[:, None].contiguous(), "directions": _directions(training, images.rows),
+        "weight": images.plain(product(found, leading)).T[:, None].contiguous(),
+        "directions": _directions(training, images.rows),
     }
-    return Fitted(_balanced(Pca, maps, ("component", "weight"), components=components, storage=storage))
+    material = _balanced(Pca, maps, ("component", "weight"), components=components, storage=storage)
+    return Fitted(material, shared={name: maps[name] for name in ("weight", "directions")})
+
+
+def _pca_of(training: Training, components: int, storage: str) -> Fitted:
+    """Return the PCA whose weights are known already: each texel is projected onto them, in one pass."""
+    maps = {name: training.shared[name] for name in ("weight", "directions")}
+    images = _Images(training, keep=False)
+    weight = images.weighed(maps["weight"][:, 0].T).T.double()
+    with one_thread():
+        ways = torch.linalg.pinv(weight).to(training.dtype)  # [sample, components]
+    total = torch.zeros(components, 3 * images.texels, dtype=training.dtype)
+    for rows, part in images.runs():
+        add_product(total, ways[rows], part.flatten(1))
+    maps["component"] = total.reshape(-1, training.btf.height, training.btf.width)
+    return Fitted(Pca(maps, components=components, storage=storage))
 
 
 def _leading(matrix: Tensor, count: int) -> Tensor:
@@ -149,6 +181,8 @@ def fit_local_pca(
     The texels' reflectance [texel, 3 sample] is first brought to its leading dimensions by a randomised SVD; all
     clustering happens there.
     """
+    if "reflectance" in training.shared:
+        return _local_pca_of(training, clusters, components, storage)
     images = _Images(training)
     count = len(images.rows)
     _require("clusters", clusters, images.texels)
@@ -176,11 +210,37 @@ def fit_local_pca(
         weight[:, inside] = bases[number] @ (points[inside] - means[number]).T
     tables = torch.cat((means[:, None], bases), dim=1).to(training.dtype)
     tables = product(tables, right)  # [clusters, 1 + components, 3 sample]
-    tables = tables.unflatten(2, (count, 3)).permute(1, 3, 0, 2).flatten(0, 1)
+    tables = images.plain(tables.unflatten(2, (count, 3)).permute(2, 0, 1, 3)).permute(2, 3, 1, 0).flatten(0, 1)
     size = (training.btf.height, training.btf.width)
     maps = {
         "cluster": label.reshape(1, *size).to(training.dtype), "weight": weight.reshape(-1, *size).to(training.dtype),
         "reflectance": tables.contiguous(), "directions": _directions(training, images.rows),
+    }
+    material = LocalPca(maps, clusters=clusters, components=components, storage=storage)
+    return Fitted(material, shared={name: maps[name] for name in ("reflectance", "directions")})
+
+
+def _local_pca_of(training: Training, clusters: int, components: int, storage: str) -> Fitted:
+    """Return the local PCA whose tables are known already: each texel takes the nearest cluster's, in one pass."""
+    maps = {name: training.shared[name] for name in ("reflectance", "directions")}
+    images = _Images(training, keep=False)
+    table = images.weighed(maps["reflectance"].permute(2, 0, 1)).unflatten(1, (1 + components, 3))
+    table = table.permute(3, 1, 0, 2)  # cluster, row, sample, colour
+    rows_of_tables = table.flatten(0, 1)
+    total = torch.zeros(len(rows_of_tables), images.texels, dtype=training.dtype)
+    for rows, part in images.runs():
+        add_product(total, rows_of_tables[:, rows].flatten(1).T, part.flatten(0, 1))
+    along = total.double().unflatten(0, (clusters, 1 + components))
+    flat = table.flatten(2).double()
+    mean, basis = flat[:, :1], flat[:, 1:]
+    # The distance to each cluster's subspace, without what is the same for all clusters.
+    weight = along[:, 1:] - (basis @ mean.transpose(1, 2))
+    distance = mean.square().sum(dim=2) - 2 * along[:, 0] - weight.square().sum(dim=1)
+    label = distance.argmin(dim=0)
+    size = (training.btf.height, training.btf.width)
+    chosen = weight.gather(0, label.expand(1, components, -1))[0]
+    maps |= {
+        "cluster": label.reshape(1, *size).to(training.dtype), "weight": chosen.reshape(-1, *size).to(training.dtype),
     }
     return Fitted(LocalPca(maps, clusters=clusters, components=components, storage=storage))
 

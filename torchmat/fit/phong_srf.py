@@ -4,20 +4,22 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import torch
 from torch import Tensor
 
 from torchmat.errors import FitError, RangeError, check_option, message
-from torchmat.fit.least_squares import Moments, solve_texels, stream_means, stream_moments
-from torchmat.fit.levenberg_marquardt import CONVERGED, Solution
+from torchmat.fit.least_squares import Design, Moments, solve_texels, stream_means, stream_moments
+from torchmat.fit.levenberg_marquardt import CONVERGED, Solution, levenberg_marquardt
 from torchmat.fit.linear import design_of
-from torchmat.fit.lobe import LobeProblem, fit_lobe
-from torchmat.fit.training import Fitted, Training
+from torchmat.fit.lobe import LobeProblem, by_differences, fit_lobe, lobe_limits
+from torchmat.fit.training import CLOSED_FORM, Fitted, Training
 from torchmat.metrics import relative
 from torchmat.models import PhongSrf
 from torchmat.models.lobes import LOBES, Lobe
 from torchmat.models.phong_srf import RESIDUALS
+from torchmat.repeatable import one_thread
 
 PHONG_WAYS = ("mean_brdf", "per_light")
 _FEWEST_VIEWS = 3  # per light: seven parameters from nine numbers
@@ -26,7 +28,7 @@ _OUTLYING, _TRIMMED = 100.0, 50  # so many times brighter than the mean of all b
 
 def fit_phong_srf(
     training: Training, *, residual: str = "half", phong: str = "mean_brdf", base: str = "phong",
-    ridge: float = 1e-4, storage: str = "half",
+    ridge: float = 1e-4, solver: str = "lm", storage: str = "half",
 ) -> Fitted:
     """Fit the global lobe, then the residual maps.
 
@@ -38,6 +40,9 @@ def fit_phong_srf(
     brighter than the rest (an HDR highlight on dark cloth) are left out of the lobe, by a second pass over the images:
     it would be theirs, and no residual takes it off the other texels again.
 
+    `solver` "lm" (Levenberg-Marquardt) fits the lobe to the values themselves, as the paper does; "varpro" to what no
+    residual can follow (`_beside_residual`), which is the least error of lobe and residual together.
+
     `ridge` penalises large residual coefficients. Under one view `half_light` is nearly collinear: coefficients cancel
     each other, which 8-bit textures cannot hold and unseen views do not forgive. 1e-4 costs the flat sample under one
     view 0.0016 of relative error and lets 8 bits hold it; on well-conditioned data it changes nothing.
@@ -45,27 +50,71 @@ def fit_phong_srf(
     _check_options(residual, phong, base, ridge)
     design = design_of(training, residual, ridge)
     moments = stream_moments(training.btf, design, training.used, training.dtype, training.progress)
-    common = _common_texels(moments)
-    if not bool(common.all()):
-        moments = replace(moments, means=stream_means(training.btf, training.used, common, training.dtype))
     lobe = LOBES[base]
-    ways = _fit_lobe(training, moments.means, lobe)
-    if phong not in ways:
-        step = "Use phong='mean_brdf'."
-        fact = f"no light has {_FEWEST_VIEWS} views among the fitted samples"
-        raise FitError(message("fit phong_srf", "phong='per_light'", "have lights with at least 3 views", fact, step))
-    parameters, reason = ways[phong]
+    parameters, reason, figures = training.shared.get("lobe"), CLOSED_FORM, {}
+    if parameters is None:
+        parameters, reason, figures = _global_lobe(training, moments, lobe, phong)
+        if solver == "varpro":
+            parameters, reason = _beside_residual(training, moments, design, lobe, parameters)
     explained = lobe.evaluate(parameters, training.light.double(), training.view.double())[:, :, 0, 0]
     solved = solve_texels(training.btf, design, moments, training.used, explained)
     maps = {"lobe": parameters.to(training.dtype), "residual": solved.coefficients.flatten(0, 1)}
     material = PhongSrf(maps, residual=residual, base=base, storage=storage)
+    figures = {"lobe": material.parameters_by_name, **figures}
+    return Fitted(material, reason, solved.coverage, figures, shared={"lobe": parameters})
+
+
+def _global_lobe(training: Training, moments: Moments, lobe: Lobe, phong: str) -> tuple[Tensor, str, dict[str, Any]]:
+    """Return the parameters of the lobe that all texels share, the stop reason, and figures."""
+    common = _common_texels(moments)
+    if not bool(common.all()):
+        moments = replace(moments, means=stream_means(training.btf, training.used, common, training.dtype))
+    ways = _fit_lobe(training, moments.means, lobe, phong)
+    if phong not in ways:
+        step = "Use phong='mean_brdf'."
+        fact = f"no light has {_FEWEST_VIEWS} views among the fitted samples"
+        raise FitError(message("fit phong_srf", "phong='per_light'", "have lights with at least 3 views", fact, step))
     errors = {way: _relative_error(training, moments.means, lobe, found) for way, (found, _) in ways.items()}
     figures = {
-        "lobe": material.parameters_by_name,
         "lobe_error_on_mean_brdf": {way: errors.get(way) for way in PHONG_WAYS},
         "texels_left_out_of_lobe": int((~common).sum()),
     }
-    return Fitted(material, reason, solved.coverage, figures)
+    return *ways[phong], figures
+
+
+def _beside_residual(
+    training: Training, moments: Moments, design: Design, lobe: Lobe, start: Tensor
+) -> tuple[Tensor, str]:
+    """Return the lobe with which the residual leaves the least error: variable projection (Golub & Pereyra 1973).
+
+    All texels share the design, so what the residual cannot follow is one projection for all; and the lobe is the same
+    for all texels, so the sum over them differs from the projected error of the means by a constant. The images are not
+    read again. The penalty on the residual's coefficients is part of the projection.
+    """
+    used = training.used
+    basis, way = design.basis[used], design.back @ design.to_coefficients
+    values, spread = torch.linalg.eigh(torch.eye(design.rank, dtype=torch.float64) - (way + way.T) / 2)
+    left_over = torch.eye(design.rank, dtype=torch.float64) - spread * values.clamp(min=0).sqrt() @ spread.T
+    light, view, means = training.light[used].double(), training.view[used].double(), moments.means[used]
+    weight = torch.ones(1, 1, dtype=torch.float64) if training.importance is None else training.importance[used, None].double().sqrt()
+
+    def rest(rows: Tensor) -> Tensor:
+        rows = rows * weight
+        return rows - basis @ (left_over @ (basis.T @ rows))
+
+    def residual(parameters: Tensor) -> Tensor:
+        gaps = lobe.evaluate(parameters[:, None], light, view)[..., 0, 0] - means
+        return torch.stack([rest(gap).flatten() for gap in gaps])
+
+    def jacobian(parameters: Tensor) -> Tensor:
+        rows = lobe.jacobian(parameters[:, None], light, view)
+        return torch.stack([rest(part.flatten(1)).reshape(-1, part.shape[-1]) for part in rows])
+
+    low, high = lobe_limits(lobe, means)
+    with one_thread():
+        way_down = by_differences(residual) if lobe.jacobian is None else jacobian
+        solution = levenberg_marquardt(residual, start[None], low, high, jacobian=way_down)
+    return solution.parameters[0], solution.reasons[0]
 
 
 def _check_options(residual: str, phong: str, base: str, ridge: float) -> None:
@@ -90,11 +139,14 @@ def _relative_error(training: Training, means: Tensor, lobe: Lobe, parameters: T
     return relative(float((predicted - means[used]).square().sum()), float(means[used].square().sum()))
 
 
-def _fit_lobe(training: Training, means: Tensor, lobe: Lobe) -> dict[str, tuple[Tensor, str]]:
-    """Return (parameters, stop reason) for each way that the data allows."""
+def _fit_lobe(training: Training, means: Tensor, lobe: Lobe, phong: str) -> dict[str, tuple[Tensor, str]]:
+    """Return (parameters, stop reason) for each way that the data allows; where samples count unlike, for `phong` alone."""
     used = training.used
     light, view, values = training.light[used].double(), training.view[used].double(), means[used]
-    found = {"mean_brdf": fit_lobe(lobe, light, view, values)}
+    importance = None if training.importance is None else training.importance[used]
+    found = {"mean_brdf": fit_lobe(lobe, light, view, values, importance=importance)}
+    if importance is not None and phong == "mean_brdf":
+        return found
     per_light = _per_light(lobe, training, light, view, values, found["mean_brdf"][0])
     return found if per_light is None else found | {"per_light": per_light}
 

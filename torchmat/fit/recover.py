@@ -21,12 +21,14 @@ from torchmat.errors import FitError, message
 from torchmat.fit.consistency import Agreement, Captured, agreement, capture, on_surface
 from torchmat.fit.refine import image_gradient, limited
 from torchmat.fit.training import Training, make_training
-from torchmat.geometry import Relief, poisson, relief_from_photographs, slopes_from_normals
+from torchmat.geometry import Relief, Stereo, photometric_stereo, poisson, slopes_from_normals
 from torchmat.geometry.normals import pad_border
+from torchmat.geometry.recover import relief_from_stereo
 from torchmat.progress import progress
 from torchmat.repeatable import one_thread, product
 
 _FLATTEST_DEG = 45  # the view of photometric stereo may lean no further: texels of other views are not where it sees them
+_STEREO_VALUES = 32_000_000  # of photometric stereo at a time
 _FEWEST_VIEWS, _FEWEST_SAMPLES = 6, 24  # below, there is no parallax to speak of
 _WIDEST = 0.3  # and none if no view leans further than this (tangent of its polar angle)
 _GAIN = 0.98  # a relief must bring the disagreement of the images below this share of a flat surface's
@@ -99,9 +101,12 @@ def _stereo(training: Training) -> Relief:
         requirement = f"have a view within {_FLATTEST_DEG} degrees of the normal to recover its geometry"
         raise FitError(message("fit", "the data", requirement, fact, step))
     rows = (training.used & (btf.view_index == first)).nonzero()[:, 0]
-    images, light, weight = btf.images(rows, training.dtype), btf.light[rows].to(training.dtype), btf.weights(rows)
+    light = btf.light[rows].to(training.dtype)
+    some = max(1, _STEREO_VALUES // (3 * len(rows) * btf.width))
     with one_thread():
-        return relief_from_photographs(images, light, weight, training.tiles)
+        bands = [btf.window(top, 0, min(some, btf.height - top), btf.width) for top in range(0, btf.height, some)]
+        found = [photometric_stereo(band.images(rows, training.dtype), light, band.weights(rows)) for band in bands]
+        return relief_from_stereo(Stereo(*(torch.cat(maps, dim=1) for maps in zip(*found, strict=True))), training.tiles)
 
 
 def _has_parallax(training: Training) -> bool:

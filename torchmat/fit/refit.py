@@ -17,15 +17,18 @@ from torch import Tensor
 
 from torchmat.btf import Btf, Split, split_samples
 from torchmat.errors import RangeError, ShapeError, check_option, message
-from torchmat.fit.distribution import _RATE, _ROUNDS, NOT_FINITE, STEP_LIMIT, _Fit
+from torchmat.fit.distribution import _RATE, _ROUNDS, _Fit
 from torchmat.fit.distribution_maps import Parts, maps_of
+from torchmat.fit.distribution_options import DistributionOptions
+from torchmat.fit.distribution_start import mean_value
 from torchmat.fit.evaluate import evaluate
+from torchmat.fit.solvers import NOT_FINITE, STEP_LIMIT
 from torchmat.fit.surface import Surface, bring_onto
 from torchmat.fit.training import make_training
 from torchmat.geometry import normals_from_slopes, slopes_from_height, slopes_from_normals
 from torchmat.models import Distribution, Material
 
-_UNFITTED = ("tilt",)  # the fit has no unknowns for it
+_UNFITTED = ("tilt",)  # the whole material's curve: what is painted on some texels must not bend it
 _LEAST = 1e-5  # of the mean value: from black itself a logarithm never comes back
 _LEAST_SHARE = 1e-4  # of a weight or reflectance in 0..1, alike
 _SUM_ERROR = 0.02  # of index weights: more than 8-bit codes of 12 maps are off by
@@ -118,9 +121,9 @@ class _Refit(_Fit):
 
     def __init__(self, surface: Surface, material: Distribution, kept: list[str], effort: float) -> None:
         height = material.maps["height"].detach() if material.has_relief else None
-        super().__init__(surface, height, material.options["lobes"], "no", "no", 48, effort, material.storage)
+        super().__init__(surface, height, DistributionOptions(effort=effort, storage=material.storage))
         self.material, self.kept = material, kept
-        self.start, self.level = time.perf_counter(), self._mean_value()
+        self.level = mean_value(surface)
         self._set_height()
 
     def run_again(self) -> tuple[Distribution, str]:
@@ -132,8 +135,10 @@ class _Refit(_Fit):
             if number > 0 or not raw:
                 self._move_height(raw, parts)
             if raw:
-                steps, rows = max(1, round(steps * self.effort)), range(len(self.surface.training.btf))
-                reason = self._optimise(raw, parts, self.surface, steps, _RATE * 2 / 3, rows, self.history)
+                steps, rows = max(1, round(steps * self.options.effort)), torch.arange(len(self.surface.training.btf))
+                watch = self.surface.training.watch
+                found = self._solve(raw, parts, "minibatch", steps, _RATE * 2 / 3, rows, math.inf, watch)
+                reason = found.reason
             if reason == NOT_FINITE:
                 break
         return self._result(raw), reason

@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
+import functools
 import inspect
 from collections.abc import Callable
+from typing import Any
 
 from torchmat.errors import RangeError, check_known_keys, check_option, message
+from torchmat.fit.by_descent import DESCENTS, fit_by_descent
 from torchmat.fit.distribution import fit_distribution
+from torchmat.fit.distribution_options import DISTRIBUTION_SOLVERS
 from torchmat.fit.linear import fit_hsh, fit_lambert, fit_lptm, fit_ptm, fit_texture
+from torchmat.fit.neural import fit_neural
 from torchmat.fit.pca import fit_local_pca, fit_pca
 from torchmat.fit.phong_srf import fit_phong_srf
 from torchmat.fit.shading_map import fit_shading_map
 from torchmat.fit.sphere_btf import fit_sphere_images_to_btf
-from torchmat.fit.training import Fitted
+from torchmat.fit.training import Fitted, Training
 
-FITTERS: dict[str, Callable[..., Fitted]] = {
+_OWN_ROADS: dict[str, Callable[..., Fitted]] = {
     "texture": fit_texture,
     "lambert": fit_lambert,
     "ptm": fit_ptm,
@@ -26,6 +31,40 @@ FITTERS: dict[str, Callable[..., Fitted]] = {
     "distribution": fit_distribution,
     "shading_map": fit_shading_map,
     "sphere_images": fit_sphere_images_to_btf,
+    "neural": fit_neural,
+}
+
+# The first is the default: the fastest road to the model's error that was measured.
+SOLVERS: dict[str, tuple[str, ...]] = {
+    **dict.fromkeys(("texture", "lambert", "ptm", "lptm", "hsh", "sphere_images"), ("closed_form", *DESCENTS)),
+    "phong_srf": ("lm", "varpro", *DESCENTS),
+    "distribution": DISTRIBUTION_SOLVERS,
+    # Their tables hold a number for each measured sample: a start that has them all is a factorisation, the answer itself.
+    "pca": ("closed_form",), "local_pca": ("closed_form",),
+    # Slices are sorted by the brightness that the BRDF gives: moving it deals the samples out anew, which has no slope.
+    "shading_map": ("closed_form",),
+    "neural": ("minibatch",),
+}
+_OWN_OBJECTIVES = ("distribution",)  # their functions know all their solvers
+
+
+def _by_any_solver(model: str, own: Callable[..., Fitted]) -> Callable[..., Fitted]:
+    """Return the fit function of a model with `solver` among its options."""
+    choices = SOLVERS[model]
+    takes_it = "solver" in inspect.signature(own).parameters
+
+    @functools.wraps(own)
+    def fit(training: Training, *, solver: str = choices[0], **options: Any) -> Fitted:
+        check_option(f"fit {model}", "solver", solver, choices)
+        if solver in DESCENTS and solver != choices[0]:
+            return fit_by_descent(training, own, solver, options)
+        return own(training, **options, **({"solver": solver} if takes_it else {}))
+
+    return fit
+
+
+FITTERS: dict[str, Callable[..., Fitted]] = {
+    model: own if model in _OWN_OBJECTIVES else _by_any_solver(model, own) for model, own in _OWN_ROADS.items()
 }
 
 
@@ -38,7 +77,8 @@ def default_options(model: str) -> dict[str, object]:
     if model == AUTO:
         return {}
     parameters = inspect.signature(FITTERS[model]).parameters.values()
-    return {p.name: p.default for p in parameters if p.kind is inspect.Parameter.KEYWORD_ONLY}
+    own = {p.name: p.default for p in parameters if p.kind is inspect.Parameter.KEYWORD_ONLY}
+    return {**own, "solver": SOLVERS[model][0]}
 
 
 def resolve_options(model: str, given: dict[str, object]) -> dict[str, object]:
@@ -47,6 +87,8 @@ def resolve_options(model: str, given: dict[str, object]) -> dict[str, object]:
     check_known_keys(f"fit {model}", given, defaults)
     for name, value in given.items():
         _check_kind(f"fit {model}", name, value, type(defaults[name]))
+    if "solver" in given:
+        check_option(f"fit {model}", "solver", given["solver"], SOLVERS[model])
     return {**defaults, **given}
 
 

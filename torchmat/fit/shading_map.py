@@ -14,7 +14,7 @@ from torchmat.errors import FitError, check_option, message
 from torchmat.fit.least_squares import make_design, solve_texels, stream_means, stream_moments
 from torchmat.fit.levenberg_marquardt import levenberg_marquardt
 from torchmat.fit.lobe import by_differences, fit_lobe, lobe_limits
-from torchmat.fit.training import Fitted, Training
+from torchmat.fit.training import CLOSED_FORM, Fitted, Training
 from torchmat.metrics import relative
 from torchmat.models import ShadingMap
 from torchmat.models.shading_map import (
@@ -56,14 +56,11 @@ def fit_shading_map(
     check_option(_WHERE, "brdf", brdf, ANALYTIC)
     check_option(_WHERE, "overflow", overflow, OVERFLOWS)
     lobe = ANALYTIC[brdf]
-    everywhere = torch.ones(training.btf.height, training.btf.width, dtype=torch.bool)
-    means = stream_means(training.btf, training.used, everywhere, training.dtype)
-    _check_means(training, means)
+    means, parameters, reason = training.shared.get("means"), training.shared.get("lobe"), CLOSED_FORM
+    if parameters is None:
+        means, parameters, reason = _global_brdf(training, lobe, slices if joint else 0)
     used = training.used
-    light, view = training.light[used].double(), training.view[used].double()
-    parameters, reason = fit_lobe(lobe, light, view, means[used], differences=True)
     if joint:
-        parameters, reason = _refined(training, lobe, parameters, means, slices)
         stack, brightest, coverage = _solved(training, _brightness(training, lobe, parameters), slices, azimuths)
     else:
         (stack, brightest), coverage = _resample(training, means.mean(dim=1), slices, azimuths), None
@@ -73,7 +70,18 @@ def fit_shading_map(
         "lobe": material.parameters_by_name, "brightest": float(brightest),
         "brightness_error": _error_of(_brightness(training, lobe, parameters)[used], means.mean(dim=1)[used]),
     }
-    return Fitted(material, reason, coverage, figures)
+    return Fitted(material, reason, coverage, figures, shared={"means": means, "lobe": parameters})
+
+
+def _global_brdf(training: Training, lobe: Lobe, slices: int) -> tuple[Tensor, Tensor, str]:
+    """Return the images' means [sample, 3], the BRDF's parameters [P] and the stop reason; refined for so many slices."""
+    everywhere = torch.ones(training.btf.height, training.btf.width, dtype=torch.bool)
+    means = stream_means(training.btf, training.used, everywhere, training.dtype)
+    _check_means(training, means)
+    used = training.used
+    light, view = training.light[used].double(), training.view[used].double()
+    parameters, reason = fit_lobe(lobe, light, view, means[used], differences=True)
+    return means, *(_refined(training, lobe, parameters, means, slices) if slices else (parameters, reason))
 
 
 def _check_means(training: Training, means: Tensor) -> None:
@@ -159,7 +167,7 @@ def _solved(training: Training, r: Tensor, count: int, azimuths: int) -> tuple[T
     light = training.light.double()
     sectors = sector_weights(light, azimuths)[:, :, 0, 0]
     shape = torch.kron(_sectors(azimuths, _parting(light[used], azimuths)), _ramps(count - 1))
-    design = make_design((sectors[:, :, None] * layers[:, None, :]).flatten(1) @ shape, used, _RIDGE)
+    design = make_design((sectors[:, :, None] * layers[:, None, :]).flatten(1) @ shape, used, _RIDGE, training.importance)
     moments = stream_moments(btf, design, used, training.dtype, training.progress)
     solved = solve_texels(btf, design, moments, used)
     ramps = solved.coefficients

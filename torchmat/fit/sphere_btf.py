@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -14,7 +15,7 @@ from torchmat.errors import RangeError, check_option, message
 from torchmat.fit.least_squares import stream_means
 from torchmat.fit.lobe import fit_lobe
 from torchmat.fit.sphere_problem import Shape, SphereProblem
-from torchmat.fit.training import Fitted, Training
+from torchmat.fit.training import CLOSED_FORM, Fitted, Training
 from torchmat.models.sphere_images import PAPER_ANGLES_DEG, SphereImages, below_each_other, paper_turn, render_spheres
 from torchmat.repeatable import add_product
 
@@ -39,18 +40,29 @@ def fit_sphere_images_to_btf(
     for name, value, least in (("pictures", pictures, 2), ("size", size, 2), ("smoothness", smoothness, 1e-9)):
         if not least <= value < math.inf:
             raise RangeError(message("fit sphere_images", name, f"be at least {least} and finite", f"it is {value}"))
+    dtype = training.dtype
+    angles = [number * _LAST_DEG / (pictures - 1) for number in range(pictures)]
+    images, reason, figures = training.shared.get("images"), CLOSED_FORM, {}
+    if images is None:
+        images, reason, figures = _pictures(training, angles, size, base, smoothness)
+    maps = {"images": images, "turn": paper_turn(dtype), "tint": torch.ones(3, 1, 1, dtype=dtype)}
+    homogeneous = SphereImages(maps, angles_deg=angles, storage=storage)
+    tint, coverage = _tint(training, homogeneous)
+    return Fitted(homogeneous.with_maps(tint=tint), reason, coverage, figures, shared={"images": images})
+
+
+def _pictures(
+    training: Training, angles: list[float], size: int, base: str, smoothness: float
+) -> tuple[Tensor, str, dict[str, Any]]:
+    """Return the pictures that all texels share, the lobe's stop reason, and figures."""
     btf, used, dtype = training.btf, training.used, training.dtype
     means = stream_means(btf, used, torch.ones(btf.height, btf.width, dtype=torch.bool), dtype)
     light, view = training.light[used].double(), training.view[used].double()
-    parameters, reason = fit_lobe(ANALYTIC[base], light, view, means[used], differences=True)
+    importance = None if training.importance is None else training.importance[used]
+    parameters, reason = fit_lobe(ANALYTIC[base], light, view, means[used], differences=True, importance=importance)
     brdf = AnalyticBrdf.from_parameters(base, parameters)
-    angles = [number * _LAST_DEG / (pictures - 1) for number in range(pictures)]
-    images = _corrected(brdf, angles, size, light, view, means[used], smoothness)
-    maps = {"images": images.to(dtype), "turn": paper_turn(dtype), "tint": torch.ones(3, 1, 1, dtype=dtype)}
-    homogeneous = SphereImages(maps, angles_deg=angles, storage=storage)
-    tint, coverage = _tint(training, homogeneous)
-    figures = {"lobe": dict(zip(ANALYTIC[base].names, parameters.tolist(), strict=True))}
-    return Fitted(homogeneous.with_maps(tint=tint), reason, coverage, figures)
+    images = _corrected(brdf, angles, size, light, view, means[used], smoothness).to(dtype)
+    return images, reason, {"lobe": dict(zip(ANALYTIC[base].names, parameters.tolist(), strict=True))}
 
 
 def _corrected(
@@ -80,7 +92,7 @@ def _tint(training: Training, material: SphereImages) -> tuple[Tensor, Tensor]:
         value = material.shade(training.light[rows].to(dtype), training.view[rows].to(dtype))[:, :, 0]
         value = torch.where(training.used[rows, None, None], value, torch.zeros((), dtype=dtype))
         weight = torch.ones(1, dtype=dtype) if block.weight is None else block.weight.flatten(1).to(dtype)
-        weight = weight.expand(len(value), size)
+        weight = training.counted(weight.expand(len(value), size), block.samples)
         for channel in range(3):
             images = block.images[:, channel].flatten(1)
             add_product(above[channel : channel + 1], value[:, channel], images * weight)

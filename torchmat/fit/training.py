@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -22,7 +23,8 @@ class Training:
     """The samples a fit may look at: `used` is bool [sample], lights above the horizon and not held out.
 
     `tiles` says that the surface repeats. `importance` [sample] is what a sample counts (None: all alike); `watch` is
-    the fit's clock.
+    the fit's clock. `shared` is what all texels have in common where that is known already (`Fitted.shared`): a fit then
+    finds only what each texel has of its own, whatever other texels there are.
     """
 
     btf: Btf
@@ -33,6 +35,20 @@ class Training:
     progress: bool | None = None
     importance: Tensor | None = None
     watch: Watch = field(default_factory=Watch)
+    shared: Mapping[str, Any] = field(default_factory=dict)
+
+    def counted(self, weight: Tensor, samples: range) -> Tensor:
+        """Return weights [k, ...] of a run of samples times what each sample counts."""
+        if self.importance is None:
+            return weight
+        some = self.importance[samples.start : samples.stop].to(weight.dtype)
+        return weight * some.reshape(-1, *[1] * (weight.ndim - 1))
+
+    def drawn(self, rows: Tensor, generator: torch.Generator) -> Tensor:
+        """Return as many of `rows` in a random order: each once, or as often as it counts."""
+        if self.importance is None:
+            return rows[torch.randperm(len(rows), generator=generator)]
+        return rows[torch.multinomial(self.importance[rows].double(), len(rows), replacement=True, generator=generator)]
 
     @property
     def light(self) -> Tensor:
@@ -64,7 +80,8 @@ class Fitted:
 
     `coverage` [1, H, W] or None where it has no meaning; `figures` go into the report under the model's own keys;
     `relief` is the geometry that was recovered and used; `window` (top, left, height, width) the texels that the material
-    covers, None for all; `history` lists (seconds, error) of a solver in its own terms.
+    covers, None for all; `history` lists (seconds, error) of a solver in its own terms; `shared` is what all texels have
+    in common, as tensors or numbers: a fit of other texels takes it as `Training.shared`.
     """
 
     material: Material
@@ -74,3 +91,4 @@ class Fitted:
     relief: Relief | None = None
     window: tuple[int, int, int, int] | None = None
     history: list[tuple[float, float]] = field(default_factory=list)
+    shared: dict[str, Any] = field(default_factory=dict)

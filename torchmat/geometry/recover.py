@@ -11,7 +11,7 @@ from torchmat import colour
 from torchmat.errors import ShapeError, check_finite, check_option, message
 from torchmat.geometry.integrate import frankot_chellappa, poisson
 from torchmat.geometry.normals import check_height_scale, normals_from_height, slopes_from_normals
-from torchmat.geometry.photometric_stereo import photometric_stereo
+from torchmat.geometry.photometric_stereo import Stereo, photometric_stereo
 
 INTEGRATIONS = ("fourier", "poisson")
 _DARK = 0.2  # of the bright texels' albedo: below it slopes are trusted less
@@ -41,7 +41,11 @@ def relief_from_photographs(
     the mean height is 0.
     """
     check_option("relief_from_photographs", "integration", integration, INTEGRATIONS)
-    found = photometric_stereo(images, light, weight)
+    return relief_from_stereo(photometric_stereo(images, light, weight), tiles, integration)
+
+
+def relief_from_stereo(found: Stereo, tiles: bool = False, integration: str = "poisson") -> Relief:
+    """Return the relief of the normals that photometric stereo found; see `relief_from_photographs`."""
     slopes = slopes_from_normals(found.normal)
     if integration == "poisson" and bool((found.confidence > 0).any()):
         height = poisson(slopes, found.confidence * _signal(found.albedo), tiles)

@@ -103,9 +103,11 @@ def ray_slope(direction: Tensor, height: int, width: int) -> Tensor:
 
     Rays flatter than 2 degrees count as that steep. v has the texture's height as its unit, u its width.
     """
-    slope = safe.divide(direction[..., :2, :, :], direction[..., 2:, :, :])
-    length = safe.sqrt((slope * slope).sum(dim=-3, keepdim=True))
-    slope = slope * (_LARGEST_SLOPE / length.clamp(min=_LARGEST_SLOPE))
+    across, rise = direction[..., :2, :, :], direction[..., 2:, :, :]
+    # The bound is on what is divided by: the quotient of a ray at the very horizon overflows, and so does its square.
+    least = safe.sqrt((across * across).sum(dim=-3, keepdim=True)) / _LARGEST_SLOPE
+    steep = torch.maximum(rise.abs(), least)
+    slope = safe.divide(across, torch.where(rise < 0, -steep, steep))
     aspect = torch.tensor([1.0, width / height], dtype=slope.dtype)[:, None, None]
     return slope * aspect
 

@@ -2,12 +2,16 @@
 
 The manifest states the format's version, the model and its options, the frame and value conventions, the resolved
 config and provenance, the constants, and for each texture its file, map, channels, code type and transfer. Integer
-codes run linearly from `low` to `high` per channel, or sRGB-encoded between them where `transfer` says so.
+codes run linearly from `low` to `high` per channel, or sRGB-encoded between them where `transfer` says so. A folder of
+version 2 has maps that are stored smaller than the material, as `stored` lists them: bilinear filtering brings them to
+its size, and those of 1 x 1 texel stand among the constants.
 """
 
 from __future__ import annotations
 
+import dataclasses
 import json
+import os
 from collections.abc import Callable
 from fnmatch import fnmatch
 from pathlib import Path
@@ -22,10 +26,14 @@ from torchmat.images import read_image, write_image
 from torchmat.machine import package_version
 from torchmat.material_io.volume import is_volume, read_volume, write_volume
 from torchmat.models import MATERIALS, Material
-from torchmat.models.storage import STORAGES, Codes, MapSpec, check_map, decode, encode
+from torchmat.models.cutout import Cutout
+from torchmat.models.resample import restored
+from torchmat.models.storage import STORAGES, Codes, MapSpec, StoredAs, check_map, decode, encode
+from torchmat.text_file import read_json
 
 FORMAT = "torchmat-material"
-VERSION = 1
+# A folder with maps that are stored small, or that are part of a texture, is of the second, which early readers refuse.
+VERSION, SHRUNK_VERSION = 1, 2
 MANIFEST = "manifest.json"
 TRANSFERS = ("linear", "srgb")
 RENDERS = "pictures/render_*"  # what `torchmat render` adds to a material folder; a fit may replace it
@@ -67,18 +75,22 @@ def write_material(material: Material, folder: Path, provenance: dict[str, Any] 
         suffix = ".png" if spec.index else STORAGES[storage].suffix
         write_image(folder / f"{name}{suffix}", codes.pixels)
         textures.append(_texture_entry(spec, f"{name}{suffix}", codes))
-    numbers = [spec for spec in material.specs() if spec.constant]
-    for spec in numbers:
-        check_map("export", spec, material.maps[spec.name])
-    constants = {spec.name: material.maps[spec.name].tolist() for spec in numbers}
+    for spec, value in material.numbers():
+        check_map("export", spec, value)
+    constants = {spec.name: value.tolist() for spec, value in material.numbers()}
     height, width = material.size
+    shrunk = material.cutout is not None or any(one.size is not None for one in material.stored.values())
     manifest = {
-        "format": FORMAT, "version": VERSION, "written_by": f"torchmat {package_version()}",
+        "format": FORMAT, "version": SHRUNK_VERSION if shrunk else VERSION, "written_by": f"torchmat {package_version()}",
         "model": material.name, "options": material.options, "storage": material.storage, "tiles": material.tiles,
         "height": height, "width": width, "bytes_per_texel": material.bytes_per_texel,
         "shared_bytes": material.shared_bytes, "conventions": CONVENTIONS, "constants": constants,
         "textures": textures, "provenance": provenance or {},
     }
+    if material.cutout is not None:
+        manifest["cutout"] = material.cutout.as_table()
+    if material.stored:
+        manifest["stored"] = {name: dataclasses.asdict(one) for name, one in material.stored.items()}
     _write_manifest(folder, manifest)
     return manifest
 
@@ -86,11 +98,11 @@ def write_material(material: Material, folder: Path, provenance: dict[str, Any] 
 def _known_files(target: Path) -> set[str]:
     """Return the files that a material folder says are its own; none when it is no material folder."""
     try:
-        manifest = json.loads((target / MANIFEST).read_text(encoding="utf-8-sig"))
+        manifest = read_json(target / MANIFEST, "the manifest", "be a torchmat material")
         if manifest["format"] != FORMAT:
             return set()
         return {MANIFEST, *(entry["file"] for entry in manifest["textures"]), *manifest.get("companions", ())}
-    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+    except (DataError, KeyError, TypeError, AttributeError):
         return set()
 
 
@@ -139,38 +151,40 @@ def save_material(
 def read_manifest(folder: str | Path) -> dict[str, Any]:
     """Return the manifest of a material folder; raises DataError when there is none or it is not understood."""
     path = Path(folder) / MANIFEST
-    if not path.is_file():
+    if not os.path.isfile(path):
         step = "Give the folder that `save_material` or `torchmat fit --out` wrote."
         raise DataError(message(str(path), "the manifest", "exist", "it is not there", step))
+    manifest = read_json(path, "the manifest", "be a torchmat material")
     try:
-        manifest = json.loads(path.read_text(encoding="utf-8-sig"))
         kind, number = manifest["format"], manifest["version"]
-    except (OSError, ValueError, KeyError, TypeError) as error:
+    except KeyError as error:
         step = "Restore the file from the original."
         fact = f"{type(error).__name__}: {error}"
         raise DataError(message(str(path), "the manifest", "be a torchmat material", fact, step)) from error
     if kind != FORMAT:
         raise DataError(message(str(path), "format", f"be {FORMAT!r}", f"it is {kind!r}"))
-    if number != VERSION:
+    if number not in (VERSION, SHRUNK_VERSION):
         step = "Update torchmat, or export the material again."
-        raise DataError(message(str(path), "version", f"be {VERSION}", f"it is {number!r}", step))
+        raise DataError(message(str(path), "version", f"be {VERSION} or {SHRUNK_VERSION}", f"it is {number!r}", step))
     return manifest
 
 
-def _read_texture(folder: Path, entry: dict[str, Any]) -> torch.Tensor:
+def _read_texture(folder: Path, entry: dict[str, Any], full: tuple[int, int] | None = None) -> torch.Tensor:
+    """Return one texture [C, h, w]: of the size that was written, or of the `full` one, if there is another."""
     name = entry["file"]
     path = folder / name
     if Path(name).name != name:
         raise DataError(message(str(folder / MANIFEST), f"file {name!r}", "be a plain name", "it leads elsewhere"))
-    if not path.is_file():
+    if not os.path.isfile(path):
         raise DataError(message(str(path), "the texture", "exist", "it is not there", "Restore or export it again."))
     pixels = read_image(path)
     wanted = (entry["height"], entry["width"], entry["channels"])
     if pixels.shape[2] == wanted[2] + 1 and wanted[2] in (1, 3):
         pixels = _without_alpha(path, pixels)
-    if pixels.shape != wanted:
+    if pixels.shape not in (wanted, (*(full or wanted[:2]), wanted[2])):
         fact = f"it is {pixels.shape[0]} x {pixels.shape[1]} with {pixels.shape[2]} channels"
-        step = "Scale the texture back, or export the material again."
+        other = f", or to the full {full[0]} x {full[1]}" if full else ""
+        step = f"Scale the texture back{other}, or export the material again."
         raise DataError(message(str(path), "the texture", f"be {wanted[0]} x {wanted[1]} x {wanted[2]}", fact, step))
     stored_as_codes, is_codes = "low" in entry, np.issubdtype(pixels.dtype, np.integer)
     if stored_as_codes and not is_codes:
@@ -198,15 +212,57 @@ def _without_alpha(path: Path, pixels: np.ndarray) -> np.ndarray:
 
 def _culprit(folder: Path, manifest: dict[str, Any], error: TorchmatError) -> str:
     """Return the texture files of the map that `error` names, or else the manifest."""
-    files = [entry["file"] for entry in manifest["textures"] if f": {entry['map']} must" in str(error)]
-    return str(folder / (", ".join(files) or MANIFEST))
+    try:
+        files = ", ".join(entry["file"] for entry in manifest["textures"] if f": {entry['map']} must" in str(error))
+    except (KeyError, TypeError):  # the entries themselves are what is wrong
+        files = ""
+    return str(folder / (files or MANIFEST))
+
+
+def _stored_as(entry: dict[str, Any]) -> StoredAs:
+    return StoredAs(None if entry["size"] is None else tuple(entry["size"]), entry["storage"])
+
+
+def _read_maps(folder: Path, manifest: dict[str, Any], stored: dict[str, StoredAs]) -> dict[str, torch.Tensor]:
+    """Return the maps that have textures, in full size; of one that was painted larger `stored` keeps the depth."""
+    size = (manifest["height"], manifest["width"])
+    parts: dict[str, list[torch.Tensor]] = {}
+    small = {}
+    for entry in manifest["textures"]:
+        name = entry["map"]
+        shrunk = name in stored and stored[name].size is not None
+        if shrunk and stored[name].size != (entry["height"], entry["width"]):
+            fact = f"its texture is {entry['height']} x {entry['width']}"
+            raise DataError(message(str(folder / MANIFEST), f"stored {name}", f"be of size {stored[name].size}", fact))
+        if shrunk:
+            small[name] = MapSpec(name, entry["meaning"], index=entry["filter"] == "nearest")
+        parts.setdefault(name, []).append(_read_texture(folder, entry, size if shrunk else None))
+    for name in small:
+        if any(tuple(texture.shape[-2:]) != stored[name].size for texture in parts[name]):
+            stored[name] = dataclasses.replace(stored[name], size=None)
+    return {
+        name: restored(small[name], pieces, size, manifest["tiles"]) if name in small else torch.cat(pieces)
+        for name, pieces in parts.items()
+    }
+
+
+def _read_numbers(manifest: dict[str, Any], stored: dict[str, StoredAs]) -> dict[str, torch.Tensor]:
+    """Return the maps that stand in the manifest: constants, and one number a channel for every texel."""
+    size, maps = (manifest["height"], manifest["width"]), {}
+    for name, values in manifest["constants"].items():
+        value = torch.tensor(values, dtype=torch.float32)
+        numbers = name in stored and stored[name].numbers
+        maps[name] = value[:, None, None].expand(-1, *size).contiguous() if numbers else value
+    return maps
 
 
 def load_material(path: str | Path) -> Material:
     """Return the material of a folder, exactly as its textures hold it, or of a ``.3pm`` file (`read_volume`).
 
-    Textures may have been painted over, in 8 or 16 bits. Raises DataError, naming the file, when a texture is
-    missing, has another size or leaves its range, or when the manifest's version is unknown.
+    Textures may have been painted over, in 8 or 16 bits; one that is stored small may be painted in its small size or
+    in that of the material, which it is stored in from then on. Numbers may be edited in the manifest. Raises DataError,
+    naming the file, when a texture is missing, has another size or leaves its range, or when the manifest's version is
+    unknown.
     """
     if is_volume(path):
         return read_volume(path)
@@ -215,19 +271,18 @@ def load_material(path: str | Path) -> Material:
     where = folder / MANIFEST
     try:
         check_option(str(where), "model", manifest["model"], MATERIALS)
-        parts: dict[str, list[torch.Tensor]] = {}
-        for entry in manifest["textures"]:
-            parts.setdefault(entry["map"], []).append(_read_texture(folder, entry))
-        maps = {name: torch.cat(pieces) for name, pieces in parts.items()}
-        maps |= {name: torch.tensor(values, dtype=torch.float32) for name, values in manifest["constants"].items()}
+        stored = {name: _stored_as(entry) for name, entry in manifest.get("stored", {}).items()}
+        maps = _read_maps(folder, manifest, stored) | _read_numbers(manifest, stored)
         options = dict(manifest["options"])
-        settings = {"storage": manifest["storage"], "tiles": manifest["tiles"]}
+        settings = {"storage": manifest["storage"], "tiles": manifest["tiles"], "stored": stored}
+        if "cutout" in manifest:
+            settings["cutout"] = Cutout.of_table(manifest["cutout"])
         return MATERIALS[manifest["model"]](maps, **settings, **options)
     except DataError:
         raise
     except TorchmatError as error:
         raise DataError(f"{_culprit(folder, manifest, error)}: {error}") from error
-    except (KeyError, TypeError, ValueError, RuntimeError, AttributeError) as error:
+    except (LookupError, TypeError, ValueError, RuntimeError, AttributeError, OverflowError) as error:
         step = "Restore the file from the original."
         fact = f"{type(error).__name__}: {error}"
         raise DataError(message(str(where), "the manifest", "describe a material", fact, step)) from error

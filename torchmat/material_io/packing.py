@@ -8,6 +8,7 @@ codes become values. The material folder is what one edits; this is what one shi
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from fnmatch import fnmatch
@@ -24,8 +25,10 @@ from torchmat.geometry import normals_from_slopes, slopes_from_height, slopes_fr
 from torchmat.images import read_image, write_image
 from torchmat.machine import package_version
 from torchmat.models import Distribution, Material
+from torchmat.models.cutout import Cutout
 from torchmat.models.relief import HEIGHT
 from torchmat.models.storage import Codes, MapSpec, decode, encode
+from torchmat.text_file import read_json
 
 FORMAT, VERSION, DESCRIPTION = "torchmat-packed", 1, "packed.json"
 DEPTHS = (8, 16)
@@ -101,14 +104,15 @@ def unpack(folder: str | Path) -> Distribution:
         return _assembled(_by_map(found), described)
     except DataError:
         raise
-    except (TorchmatError, KeyError, TypeError, ValueError, RuntimeError, AttributeError) as error:
+    except (TorchmatError, LookupError, TypeError, ValueError, RuntimeError, AttributeError, OverflowError) as error:
         fact = f"{type(error).__name__}: {error}".rstrip(".")
         step = "Restore the file from the original, or pack the material again."
         raise DataError(message(str(path), "the description", "describe a packed material", fact, step)) from error
 
 
 def _settings(material: Distribution) -> dict[str, Any]:
-    return {"model": material.name, "options": material.options, "tiles": material.tiles, "storage": material.storage}
+    found = {"model": material.name, "options": material.options, "tiles": material.tiles, "storage": material.storage}
+    return found if material.cutout is None else found | {"cutout": material.cutout.as_table()}
 
 
 def _textures(material: Material, depth: int) -> list[Packed]:
@@ -229,17 +233,18 @@ def _assembled(planes: dict[str, Tensor], settings: dict[str, Any]) -> Distribut
         slopes = slopes_from_normals(safe.normalise(maps["normal"]))
         maps["normal"] = normals_from_slopes(slopes - slopes_from_height(maps["height"], tiles=settings["tiles"]))
         options["parts"] = sorted({*options["parts"], "normal"})
-    return Distribution(maps, tiles=settings["tiles"], storage=settings["storage"], **options)
+    cutout = None if settings.get("cutout") is None else Cutout.of_table(settings["cutout"])
+    return Distribution(maps, tiles=settings["tiles"], storage=settings["storage"], cutout=cutout, **options)
 
 
 def _read_description(path: Path) -> dict[str, Any]:
-    if not path.is_file():
+    if not os.path.isfile(path):
         step = "Give the folder that `pack` wrote."
         raise DataError(message(str(path), "the description", "exist", "it is not there", step))
+    described = read_json(path, "the description", "be a packed material")
     try:
-        described = json.loads(path.read_text(encoding="utf-8-sig"))
         kind, number, model = described["format"], described["version"], described["model"]
-    except (OSError, ValueError, KeyError, TypeError) as error:
+    except KeyError as error:
         fact = f"{type(error).__name__}: {error}"
         step = "Restore the file from the original."
         raise DataError(message(str(path), "the description", "be a packed material", fact, step)) from error
@@ -256,7 +261,7 @@ def _read(folder: Path, entry: dict[str, Any]) -> Tensor:
     if Path(name).name != name:
         raise DataError(message(str(folder / DESCRIPTION), f"file {name!r}", "be a plain name", "it leads elsewhere"))
     path = folder / name
-    if not path.is_file():
+    if not os.path.isfile(path):
         raise DataError(message(str(path), "the texture", "exist", "it is not there", "Restore or pack it again."))
     pixels = read_image(path)
     wanted = (entry["height"], entry["width"], len(channels))

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import math
+import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -16,6 +18,7 @@ from torchmat.errors import DataError, check_finite, check_option, message
 from torchmat.geometry import Relief
 from torchmat.geometry.normals import flip_green
 from torchmat.images import read_image, write_image
+from torchmat.text_file import read_json
 
 DEPTHS = ("16", "float")
 _FILES = (
@@ -80,7 +83,7 @@ def load_height(path: str | Path) -> Tensor:
     """
     path = Path(path)
     low, high = None, None
-    if path.is_dir():
+    if os.path.isdir(path):
         low, high, path = _described(path)
     pixels = read_image(path)
     if pixels.shape[2] != 1:
@@ -97,13 +100,17 @@ def load_height(path: str | Path) -> Tensor:
 
 
 def _described(folder: Path) -> tuple[float, float, Path]:
+    described = read_json(folder / "relief.json", "the relief", "be described")
     try:
-        described = json.loads((folder / "relief.json").read_text(encoding="utf-8"))
         low, high = float(described["height_low"]), float(described["height_high"])
-    except (OSError, ValueError, KeyError, TypeError) as error:
+    except (ValueError, KeyError, TypeError, OverflowError) as error:
         step = "Give a folder that `torchmat geometry` wrote, or a floating-point image."
         fact = f"{type(error).__name__}: {error}"
         raise DataError(message(str(folder / "relief.json"), "the relief", "be described", fact, step)) from error
+    if not low <= high or math.isinf(high - low):
+        fact = f"height_low is {low:.6g} and height_high {high:.6g}"
+        step = "Restore the file from the original."
+        raise DataError(message(str(folder / "relief.json"), "the range", "be finite and run upward", fact, step))
     for name in ("height.png", "height.exr"):
         if (folder / name).is_file():
             return low, high, folder / name

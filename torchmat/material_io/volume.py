@@ -39,7 +39,7 @@ class _Head(NamedTuple):
 
 def is_volume(path: str | Path) -> bool:
     """Return whether a path names a ``.3pm`` file and not a folder."""
-    return Path(path).suffix.lower() == SUFFIX and not Path(path).is_dir()
+    return Path(path).suffix.lower() == SUFFIX and not os.path.isdir(path)
 
 
 def read_volume(path: str | Path) -> ShadingMap:

@@ -5,6 +5,7 @@ from torchmat.models.blend import blend
 from torchmat.models.distribution import Distribution
 from torchmat.models.edit import add_part, drop_part, replace_map
 from torchmat.models.linear import Hsh, Lambert, Lptm, Ptm, Texture
+from torchmat.models.neural import Neural
 from torchmat.models.pca import LocalPca, Pca
 from torchmat.models.phong_srf import PhongSrf
 from torchmat.models.shading_map import ShadingMap
@@ -12,10 +13,10 @@ from torchmat.models.sphere_images import SphereImages
 
 MATERIALS: dict[str, type[Material]] = {
     model.name: model
-    for model in (Texture, Lambert, Ptm, Lptm, Hsh, PhongSrf, Pca, LocalPca, Distribution, ShadingMap, SphereImages)
+    for model in (Texture, Lambert, Ptm, Lptm, Hsh, PhongSrf, Pca, LocalPca, Distribution, ShadingMap, SphereImages, Neural)
 }
 
 __all__ = [
-    "MATERIALS", "Distribution", "Hsh", "Lambert", "LocalPca", "Lptm", "Material", "Pca", "PhongSrf", "Ptm", "ShadingMap",
-    "SphereImages", "Texture", "add_part", "blend", "drop_part", "replace_map",
+    "MATERIALS", "Distribution", "Hsh", "Lambert", "LocalPca", "Lptm", "Material", "Neural", "Pca", "PhongSrf", "Ptm",
+    "ShadingMap", "SphereImages", "Texture", "add_part", "blend", "drop_part", "replace_map",
 ]

@@ -13,16 +13,20 @@ from torch import Tensor, nn
 
 from torchmat.errors import RangeError, ShapeError, check_known_keys, check_option, message
 from torchmat.geometry.relief import look_up
+from torchmat.models.cutout import Cutout
 from torchmat.models.relief import PARTS, shade_points, shade_texels
-from torchmat.models.storage import STORAGES, MapSpec, check_map, decode, encode
+from torchmat.models.storage import STORAGES, MapSpec, StoredAs, check_map, check_stored
+from torchmat.models.storable import Storable
 from torchmat.repeatable import wide_product
 
 
-class Material(nn.Module):
+class Material(Storable):
     """A surface whose appearance is held by texture maps.
 
     `maps` are parameters: [C, H, W] per texel, [C, rows, columns] for shared tables, [C] for constants, as `specs`
-    declares. `storage` names how textures are stored (a key of STORAGES); `tiles` whether the surface repeats.
+    declares. `storage` names how textures are stored (a key of STORAGES); `stored` says which maps are stored smaller
+    or in another way, by name (`stored_at`); `tiles` whether the surface repeats; `cutout` which part of a larger
+    texture the maps are, None for all of it.
     Subclasses add keyword options, kept in `options`, and implement `own_specs` and `value`. Every model may have two
     more maps: `height` [1, H, W], in texture widths over the plane of the images, puts the surface on a relief with
     parallax and shadow, and `ambient` [3, H, W] is the light that reaches a texel there by way of others.
@@ -32,12 +36,17 @@ class Material(nn.Module):
     isotropic: ClassVar[bool] = False
     reciprocal: ClassVar[bool] = False
 
-    def __init__(self, maps: Mapping[str, Tensor], *, storage: str = "half", tiles: bool = True, **options: Any) -> None:
+    def __init__(
+        self, maps: Mapping[str, Tensor], *, storage: str = "half", tiles: bool = True,
+        stored: Mapping[str, StoredAs] | None = None, cutout: Cutout | None = None, **options: Any,
+    ) -> None:
         super().__init__()
         check_option(self.name, "storage", storage, STORAGES)
         check_known_keys(f"{self.name} options", options, self._option_names())
         self.storage = storage
         self.tiles = tiles
+        self.cutout = cutout
+        self._check_cutout()
         self.options = options
         self._parts = tuple(part for part in PARTS if part.name in maps)
         specs = self.specs()
@@ -55,6 +64,13 @@ class Material(nn.Module):
                 raise RangeError(message(self.name, name, "be a floating-point tensor", fact))
         self.maps = nn.ParameterDict({spec.name: nn.Parameter(maps[spec.name].detach()) for spec in specs})
         self._check_shapes(specs)
+        check_stored(self.name, stored or {}, specs, self.size)
+        self.stored = {name: one for name, one in (stored or {}).items() if one != StoredAs()}
+
+    def _check_cutout(self) -> None:
+        if self.cutout is not None and self.tiles and not self.cutout.is_whole:
+            step = "Give tiles=False; the cutout itself says whether the whole texture repeats."
+            raise RangeError(message(self.name, "a cutout", "not repeat", "tiles is true", step))
 
     @classmethod
     def _option_names(cls) -> list[str]:
@@ -110,6 +126,11 @@ class Material(nn.Module):
         return 1, 1
 
     @property
+    def whole_size(self) -> tuple[int, int]:
+        """Height and width, in texels like its own, of the texture that the material is a part of."""
+        return self.size if self.cutout is None else self.cutout.whole_size(self.size)
+
+    @property
     def dtype(self) -> torch.dtype:
         """The precision of the maps: all have one."""
         return next(iter(self.maps.values())).dtype
@@ -140,7 +161,7 @@ class Material(nn.Module):
             return self.at(uv).shade(light, view)
         self._check_uv("shade_at", uv)
         self._check_directions(light, view, tuple(uv.shape[-2:]))
-        return shade_points(self, uv.to(self.dtype), light, view)
+        return shade_points(self, self._placed(uv).to(self.dtype), light, view)
 
     def _shade_flat(self, light: Tensor, view: Tensor) -> Tensor:
         above = (light[..., 2:3, :, :] > 0) & (view[..., 2:3, :, :] > 0)
@@ -167,15 +188,15 @@ class Material(nn.Module):
 
     def with_maps(self, **maps: Tensor) -> Self:
         """Return a material with some maps replaced."""
-        return type(self)({**self.maps, **maps}, storage=self.storage, tiles=self.tiles, **self.options)
+        return self._like({**self.maps, **maps})
+
+    def cut_from(self, cutout: Cutout | None) -> Self:
+        """Return the same maps as a part of a larger texture."""
+        return self._like(dict(self.maps), cutout=cutout)
 
     def repeating(self, tiles: bool) -> Self:
         """Return the same material, repeating at its borders or not."""
-        return type(self)(dict(self.maps), storage=self.storage, tiles=tiles, **self.options)
-
-    def stored_as(self, storage: str) -> Self:
-        """Return the same material with its textures to be stored as `storage`."""
-        return type(self)(dict(self.maps), storage=storage, tiles=self.tiles, **self.options)
+        return self._like(dict(self.maps), tiles=tiles)
 
     @property
     def has_relief(self) -> bool:
@@ -186,7 +207,7 @@ class Material(nn.Module):
         """Return the material on a relief: `height` [1, H, W] in texture widths, `ambient` [3, H, W]."""
         parts = {"height": height} if ambient is None else {"height": height, "ambient": ambient}
         own = {spec.name: self.maps[spec.name] for spec in self.own_specs()}
-        return type(self)({**own, **parts}, storage=self.storage, tiles=self.tiles, **self.options)
+        return self._like({**own, **parts})
 
     def surface(self) -> Self:
         """Return the material without its relief: what one texel does with its light."""
@@ -197,7 +218,7 @@ class Material(nn.Module):
         other = copy.copy(self)
         other.__dict__ = dict(self.__dict__)
         other._modules = {}
-        other._parts = ()
+        other._parts, other.stored, other.cutout = (), {}, None
         other.maps = maps
         return other
 
@@ -216,59 +237,18 @@ class Material(nn.Module):
         if self.has_relief:
             step = "Use shade_at(uv, light, view), or surface().at(uv) without the relief."
             raise RangeError(message(f"{self.name}.at", "the material", "be flat", "it has a height map", step))
-        found = {}
+        uv, found = self._placed(uv), {}
         for spec in self.specs():
             value = self.maps[spec.name]
             found[spec.name] = value if spec.constant or not spec.per_texel else self._look_up(value, uv, spec.index)
         return self.sharing(found)
 
+    def _placed(self, uv: Tensor) -> Tensor:
+        """Return coordinates of the whole texture as those of these maps."""
+        return uv if self.cutout is None else self.cutout.place(uv)
+
     def _look_up(self, value: Tensor, uv: Tensor, nearest: bool) -> Tensor:
         return look_up(value[None], uv[None].to(value.dtype), self.tiles, "nearest" if nearest else "bilinear")[0]
-
-    def _storage_of(self, spec: MapSpec) -> str:
-        # Shared tables are few bytes and set the brightness of every texel, so they keep at least half precision.
-        default = "half" if not spec.per_texel and STORAGES[self.storage].levels == 255 else self.storage
-        return spec.storage or default
-
-    def textures(self) -> list[tuple[MapSpec, str, Tensor, str]]:
-        """Return (map, texture name, values [C, H, W], storage) of every texture that export writes."""
-        found = []
-        for spec in self.specs():
-            if not spec.constant:
-                parts = self.maps[spec.name].detach().split(spec.layer_channels)
-                storage = self._storage_of(spec)
-                found += [(spec, name, part, storage) for name, part in zip(spec.textures, parts, strict=True)]
-        return found
-
-    def as_exported(self) -> Self:
-        """Return the material, in float32, as its textures would bring it back, without writing files.
-
-        Raises RangeError when a map cannot be stored without leaving its range.
-        """
-        parts: dict[str, list[Tensor]] = {}
-        for spec, _, value, storage in self.textures():
-            parts.setdefault(spec.name, []).append(decode(encode(spec, value, storage)))
-        constants = {spec.name: self.maps[spec.name].float() for spec in self.specs() if spec.constant}
-        return self.with_maps(**constants, **{name: torch.cat(pieces) for name, pieces in parts.items()})
-
-    def _stored_bytes(self, per_texel: bool) -> int:
-        total = 0
-        for spec, _, value, storage in self.textures():
-            if spec.per_texel == per_texel:
-                size = (1 if spec.high <= 255 else 2) if spec.index else STORAGES[storage].bytes
-                total += value.numel() * size
-        return total
-
-    @property
-    def bytes_per_texel(self) -> float:
-        """Bytes of texture a texel takes as stored, before any file compression; shared tables stand beside it."""
-        return self._stored_bytes(per_texel=True) / self.texels
-
-    @property
-    def shared_bytes(self) -> int:
-        """Bytes of the tables that all texels share, and of the constants (4 bytes each)."""
-        constants = sum(self.maps[spec.name].numel() for spec in self.specs() if spec.constant)
-        return self._stored_bytes(per_texel=False) + 4 * constants
 
 
 def combine(weights: Tensor, layers: Tensor) -> Tensor:

@@ -22,9 +22,10 @@ def blend(first: Material, second: Material, weight: float | Tensor, filter: str
     """Return the material that is `first` where `weight` is 0, `second` where it is 1, and mixes them between.
 
     `weight` is a number in [0, 1] or a map [1, H, W] of `first`'s size. A `second` of another size is resampled with
-    `filter`; tiling and storage are `first`'s. Heights, colours and weights interpolate linearly (no height is 0),
-    normals by their slopes, rotations as vectors. Two distribution materials may differ in parts, of which a missing
-    one takes its neutral value, and in specular maps: those of both then stand side by side, and the index places them.
+    `filter`; tiling and storage are `first`'s, and a map is stored small where both have it so. Heights, colours and
+    weights interpolate linearly (no height is 0), normals by their slopes, rotations as vectors. Two distribution
+    materials may differ in parts, of which a missing one takes its neutral value, and in specular maps: those of both
+    then stand side by side, and the index places them.
     The numbers 0 and 1 give the very maps of that material; in a map the texels of 0 and 1 shade as the material of
     that side does, as long as both are flat and neither the sides of their specular maps nor their tilt differ.
     Raises RangeError for two models, or options and tables that cannot be mixed, ShapeError for a map of another size.
@@ -34,6 +35,7 @@ def blend(first: Material, second: Material, weight: float | Tensor, filter: str
     second = _like(second, first, filter)
     if weight.ndim == 0 and float(weight) in (0.0, 1.0):
         return first if float(weight) == 0 else second
+    first = first.stored_at(dict.fromkeys(first.stored.keys() - _stored_alike(first, second, weight)))
     maps = _relief(first, second, weight)
     if isinstance(first, Distribution):
         return _blend_distributions(first, second, weight, maps)
@@ -49,7 +51,7 @@ def blend(first: Material, second: Material, weight: float | Tensor, filter: str
         if spec.constant:
             _check_number(weight, spec.name)
         maps[spec.name] = _mix_vectors(spec.name, one, other, weight) if spec.name == "normal" else mix(one, other, weight)
-    return type(first)(maps, storage=first.storage, tiles=first.tiles, **first.options)
+    return type(first)(maps, **first.settings(maps), **first.options)
 
 
 def mix(one: Tensor, other: Tensor, weight: Tensor) -> Tensor:
@@ -75,6 +77,9 @@ def _check_pair(first: Material, second: Material) -> None:
         fact = f"they are {first.name} and {second.name}"
         step = "Fit both with the same model."
         raise RangeError(message("blend", "the materials", "be of one model", fact, step))
+    if first.cutout != second.cutout:
+        fact = f"they are {first.cutout} and {second.cutout}"
+        raise RangeError(message("blend", "the materials", "cover the same part of a texture", fact))
     free = ("lobes", "parts", "mask_channels") if isinstance(first, Distribution) else ()
     for name, value in first.options.items():
         if name not in free and second.options[name] != value:
@@ -99,6 +104,11 @@ def _as_weight(first: Material, weight: float | Tensor) -> Tensor:
         fact = f"{int(outside.sum())} of {weight.numel()} values are not, the first is {float(weight[outside][0]):.6g}"
         raise RangeError(message("blend", "weight", "lie in [0, 1]", fact, "0 is the first material, 1 the second."))
     return weight
+
+
+def _stored_alike(first: Material, second: Material, weight: Tensor) -> set[str]:
+    """Return the maps that both store in one way; a map of weights has detail of its own, which none is stored with."""
+    return set() if weight.ndim else {name for name, one in first.stored.items() if second.stored.get(name) == one}
 
 
 def _check_number(weight: Tensor, name: str) -> None:

@@ -115,15 +115,15 @@ class Distribution(Material):
 
     def _specular(self, light: Tensor, view: Tensor, frame: Tensor | None, n_dot_l: Tensor, n_dot_v: Tensor) -> Tensor:
         maps = self.maps
-        # Both have length 1, so |L + V|^2 = 2 + 2 L.V; the bound keeps opposite directions, of no half vector, finite.
-        cosine = (light * view).sum(dim=-3, keepdim=True)
-        shorten = torch.rsqrt((2 + 2 * cosine).clamp(min=1e-8))
-        half = (light + view) * shorten
+        # 2 + 2 L.V would cancel where they are nearly opposite; the bound keeps those of no half vector finite.
+        total = light + view
+        squared = (total * total).sum(dim=-3, keepdim=True).clamp(min=1e-24)
+        half = total * torch.rsqrt(squared)
         colour = self._looked_up(half if frame is None else combine(half, frame))
         a, b = (n_dot_l, n_dot_v) if "tilt" not in maps else (self._tilted(n_dot_l), self._tilted(n_dot_v))
         share = n_dot_l / torch.addcmul(a + (b + _GRAZING), a, b, value=-1)
         if "fresnel" in maps:
-            grazing = (1 - (1 + cosine) * shorten).clamp(min=0)
+            grazing = (1 - torch.sqrt(squared) / 2).clamp(min=0)  # both have length 1: H.L is half of |L + V|
             share = share * (maps["fresnel"] + (1 - maps["fresnel"]) * self._rise(grazing))
         if "specular_mask" in maps:
             share = share * maps["specular_mask"]

@@ -5,58 +5,22 @@ Materials are never changed in place: each function returns a new one.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import torch
-import torch.nn.functional as functional
 from torch import Tensor
 
 from torchmat import safe
 from torchmat.errors import RangeError, ShapeError, check_finite, check_known_keys, check_option, message
 from torchmat.models.base import Material
 from torchmat.models.distribution import DISTRIBUTION_PARTS, Distribution, default_tilt
+from torchmat.models.resample import ANY_SIZE, FILTERS, VECTORS, resample, resample_map
 from torchmat.models.storage import MapSpec, check_map
 
-FILTERS = ("bilinear", "nearest", "area")
-VECTORS = ("normal", "rotation")  # maps of directions: what is between two of them is a direction too
-_ANY_SIZE = ("specular",)  # shared tables whose side is a matter of choice
-_LEAST_LENGTH = 1e-3  # a shorter sum of unit vectors says nothing of the direction in between
-
-
-def resample(value: Tensor, size: tuple[int, int], filter: str = "bilinear", tiles: bool = True) -> Tensor:
-    """Return a map [C, h, w] as [C, H, W]; the same bits if it has that size.
-
-    "bilinear" widens its triangle when it shrinks, so that nothing aliases; "area" is the mean of the texels that the
-    new one touches; "nearest" invents no value. A map that tiles goes on around the corner, another with its border.
-    """
-    check_option("resample", "filter", filter, FILTERS)
-    if value.shape[-2:] == size:
-        return value
-    if filter == "nearest":
-        return functional.interpolate(value[None], size, mode="nearest-exact")[0]
-    if filter == "area":
-        found = functional.interpolate(value[None], size, mode="area")[0]
-    else:
-        found = _along(_along(value, size[0], -2, tiles), size[1], -1, tiles)
-    # A mean lies between what it is of; weights that sum to 1.0000001 would put a map out of its range.
-    return found.clamp(value.min(), value.max())
-
-
-def _along(value: Tensor, length: int, dim: int, tiles: bool) -> Tensor:
-    """Filter one dimension; what tiles is laid down three times and the middle is taken."""
-    # Always along the last dimension: torch 2.13 copies one sample where it filters the rows of a map one texel wide.
-    lines = value.movedim(dim, -1)
-    wide = torch.cat([lines] * 3, dim=-1) if tiles else lines
-    size = (lines.shape[-2], 3 * length if tiles else length)
-    found = functional.interpolate(wide[None].contiguous(), size, mode="bilinear", antialias=True, align_corners=False)[0]
-    return (found[..., length : 2 * length] if tiles else found).movedim(-1, dim).contiguous()
-
-
-def resample_map(spec: MapSpec, value: Tensor, size: tuple[int, int], filter: str = "bilinear", tiles: bool = True) -> Tensor:
-    """Return a map in another size, as what it is: directions stay unit vectors, whole numbers take the nearest."""
-    found = resample(value, size, "nearest" if spec.index else filter, tiles)
-    if spec.name not in VECTORS or found is value:
-        return found
-    short = found.norm(dim=0, keepdim=True) < _LEAST_LENGTH
-    return safe.normalise(torch.where(short, resample(value, size, "nearest", tiles), found))
+__all__ = [
+    "FILTERS", "VECTORS", "add_part", "drop_part", "neutral_part", "replace_map", "resample", "resized", "with_options",
+    "without_idle_parts",
+]
 
 
 def resized(material: Material, size: tuple[int, int], filter: str = "bilinear") -> Material:
@@ -67,7 +31,11 @@ def resized(material: Material, size: tuple[int, int], filter: str = "bilinear")
         spec.name: resample_map(spec, material.maps[spec.name].detach(), tuple(size), filter, material.tiles)
         for spec in material.specs() if spec.per_texel and not spec.constant
     }
-    return material.with_maps(**changed)
+    small = {
+        name: replace(one, size=tuple(map(min, one.size, size)))
+        for name, one in material.stored.items() if one.size is not None
+    }
+    return material.stored_at(dict.fromkeys(small)).with_maps(**changed).stored_at(small)
 
 
 def replace_map(
@@ -78,7 +46,7 @@ def replace_map(
     `filter` is "bilinear", "nearest" or "area" (see `resample`). Normals and rotations become unit vectors. The weights
     `index` of the distribution material are divided by their sum; `normalise_index` False leaves them, so that two
     specular maps may both count in full (Liao 2011, fig. 4.17). Tables that all texels share are never resampled: they
-    keep their shape, only the specular maps may have another side.
+    keep their shape, only the specular maps may have another side. A map that was stored small is stored in full again.
     Raises RangeError for an unknown map and for values that are not finite or leave its range, ShapeError for a wrong
     number of channels.
     """
@@ -90,6 +58,8 @@ def replace_map(
         value = _as_directions(name, value)
     elif name == "index" and normalise_index:
         value = _as_weights(value)
+    if name in material.stored:
+        material = material.stored_at({name: replace(material.stored[name], size=None)})
     return material.with_maps(**{name: resample_map(spec, value, material.size, filter, material.tiles)})
 
 
@@ -115,7 +85,7 @@ def _checked(material: Material, spec: MapSpec, value: Tensor) -> Tensor:
     value, old = value.detach(), material.maps[spec.name]
     fits = value.ndim == old.ndim and value.shape[0] == spec.channels and 0 not in value.shape
     shape = f"[{spec.channels}]" if spec.constant else f"[{spec.channels}, h, w]"
-    if not spec.constant and not spec.per_texel and spec.name not in _ANY_SIZE:
+    if not spec.constant and not spec.per_texel and spec.name not in ANY_SIZE:
         fits, shape = fits and value.shape == old.shape, f"{list(old.shape)}"
     if not fits:
         step = f"It is {spec.meaning}."
@@ -190,9 +160,29 @@ def drop_part(material: Distribution, name: str) -> Distribution:
     return with_options(material, maps, parts=[part for part in parts if part != name])
 
 
+def without_idle_parts(material: Distribution) -> Distribution:
+    """Return a distribution material without the parts that are stored as one number and can be done without.
+
+    A mask, and an index, that are the same everywhere are multiplied into the specular maps; a normal that is the same
+    everywhere is left out, and with it a lean of the whole surface, if there was one.
+    """
+    idle = [name for name, one in material.stored.items() if one.numbers]
+    exported = material.as_exported().maps
+    maps = {**material.maps, **{name: exported[name].detach().to(material.dtype) for name in idle}}
+    lobes, parts = material.options["lobes"], list(material.options["parts"])
+    if "specular_mask" in idle and lobes:
+        maps["specular"] = maps["specular"] * maps.pop("specular_mask")[:, :1, :1].expand(3, 1, 1).repeat(lobes, 1, 1)
+    if "index" in idle:
+        weight = maps.pop("index")[:, :1, :1].repeat_interleave(3, dim=0)
+        maps["specular"], lobes = (maps["specular"] * weight).unflatten(0, (lobes, 3)).sum(dim=0), 1
+    if "normal" in idle:
+        del maps["normal"]
+    return with_options(material, maps, lobes=lobes, parts=[part for part in parts if part in maps])
+
+
 def with_options(material: Distribution, maps: dict[str, Tensor], **options: object) -> Distribution:
     """Return a material of these maps with some options changed."""
-    return Distribution(maps, storage=material.storage, tiles=material.tiles, **{**material.options, **options})
+    return Distribution(maps, **material.settings(maps), **{**material.options, **options})
 
 
 def _check_part(where: str, material: Material, name: str) -> None:

@@ -17,13 +17,14 @@ from torchmat.models.bases import BASES
 from torchmat.models.lobes import LOBES
 from torchmat.models.storage import MapSpec
 
-RESIDUALS = ("half", "half_light", "quadratic")
+RESIDUALS = ("half", "half_light", "quadratic", "cosine")
 
 
 class PhongSrf(Material):
     """Phong + residual.
 
-    `residual` names the family: "half" (the paper's, 9 numbers a texel), "half_light" (21) or "quadratic" (45);
+    `residual` names the family: "half" (the paper's, 9 numbers a texel), "half_light" (21), "quadratic" (45) or "cosine"
+    (3: a colour times the light's cosine, a texture under the lobe);
     `base` the lobe: "phong" or "ashikhmin_shirley". Maps: `lobe` (constants), `residual` [3 K, H, W], an RGB texture
     per term. The sum is clamped at 0, which the paper does not say and a picture needs.
     """

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import torch
 from torch import Tensor
 
@@ -13,6 +15,18 @@ HEIGHT = MapSpec("height", "height over the plane of the images, texture widths"
 AMBIENT = MapSpec("ambient", "light by way of other texels, for a light of 1", low=0.0, colour=True, linear=True)
 PARTS = (HEIGHT, AMBIENT)
 _RAYS = ((-0.25, -0.25), (0.25, -0.25), (-0.25, 0.25), (0.25, 0.25))  # where in a texel its rays start
+
+
+class Rays(NamedTuple):
+    """What light and view meet on a height: `shadow` [n, 1, H, W] of each sample, and where its rays end.
+
+    `ends` holds, for each ray that starts in a texel, what is seen in its place, uv [v, 2, H, W] for the distinct views;
+    sample i has number `view[i]` among them.
+    """
+
+    shadow: Tensor
+    ends: list[Tensor]
+    view: Tensor
 
 
 def shade_texels(material, light: Tensor, view: Tensor) -> Tensor:
@@ -29,30 +43,37 @@ def shade_texels(material, light: Tensor, view: Tensor) -> Tensor:
         return height.new_zeros(*lead, 3, *material.size)
     above = (light[:, 2:] > 0) & (view[:, 2:] > 0)
     light, view = _raised(light, above), _raised(view, above)
-    (few_lights, which_light), (few_views, which_view) = _distinct(light), _distinct(view)
-    shadow = soft_shadow(height, few_lights, tiles=tiles)[which_light]
-    shaded = material.surface().shade(light, view) * shadow
-    if "ambient" in material.maps:
-        shaded = shaded + material.maps["ambient"]
-    seen = _seen(shaded, height, few_views, which_view, tiles).clamp(min=0)
+    seen = shade_along(material, light, view, rays(height, light, view, tiles))
     seen = torch.where(above, seen, torch.zeros((), dtype=seen.dtype))
     return seen.reshape(*lead, *seen.shape[1:])
 
 
-def _seen(shaded: Tensor, height: Tensor, view: Tensor, which: Tensor, tiles: bool) -> Tensor:
-    """Return shaded texels [n, 3, H, W] as views [v, 3, 1, 1] see them: the mean of four rays a texel.
+def rays(height: Tensor, light: Tensor, view: Tensor, tiles: bool) -> Rays:
+    """Return what directions [n, 3, 1, 1] above the horizon meet on `height` [1, H, W]."""
+    (few_lights, which_light), (few_views, which_view) = _distinct(light), _distinct(view)
+    shadow = soft_shadow(height, few_lights, tiles=tiles)[which_light]
+    rows, columns = height.shape[-2:]
+    centres = texel_centres(rows, columns, height.dtype)
+    ends = []
+    for across, up in _RAYS:
+        offset = torch.tensor([across / columns, up / rows], dtype=height.dtype)[:, None, None]
+        ends.append(trace_view(height, few_views, centres + offset, tiles).uv - offset)
+    return Rays(shadow, ends, which_view)
+
+
+def shade_along(material, light: Tensor, view: Tensor, met: Rays) -> Tensor:
+    """Return what is seen [n, 3, H, W] along rays that have been followed: the mean of four rays a texel.
 
     A pixel is a square, and where a silhouette crosses it, it shows both sides: on deep relief that is 0.5 dB. Each ray
     looks up what it has moved by from the texel's centre, so that without parallax nothing is blurred.
     """
-    rows, columns = height.shape[-2:]
-    centres = texel_centres(rows, columns, height.dtype)
+    shaded = material.surface().shade(light, view) * met.shadow
+    if "ambient" in material.maps:
+        shaded = shaded + material.maps["ambient"]
     total = torch.zeros((), dtype=shaded.dtype)
-    for across, up in _RAYS:
-        offset = torch.tensor([across / columns, up / rows], dtype=height.dtype)[:, None, None]
-        hits = trace_view(height, view, centres + offset, tiles).uv - offset
-        total = total + look_up(shaded, hits[which], tiles, "bicubic")
-    return total / len(_RAYS)
+    for end in met.ends:
+        total = total + look_up(shaded, end[met.view], material.tiles, "bicubic")
+    return (total / len(met.ends)).clamp(min=0)
 
 
 def shade_points(material, uv: Tensor, light: Tensor, view: Tensor) -> Tensor:

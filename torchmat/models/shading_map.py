@@ -118,7 +118,7 @@ class ShadingMap(Material):
             name, parts = TABLE, {"reflectance": table.flatten(2).to(self.dtype)}
         kept = {key: value for key, value in self.maps.items() if key not in ("lobe", "reflectance")}
         options = {**self.options, "brdf": name}
-        return ShadingMap({**kept, **parts}, storage=self.storage, tiles=self.tiles, **options)
+        return ShadingMap({**kept, **parts}, **self.settings({**kept, **parts}), **options)
 
     def brightness(self, light: Tensor, view: Tensor) -> Tensor:
         """Return r [..., 1, h, w]: the BRDF's value, never negative, mean of the channels, plus `ambient_level`."""
@@ -167,8 +167,8 @@ def layer_place(r: Tensor, brightest: Tensor, count: int) -> Tensor:
 
 def layer_weights(place: Tensor, count: int) -> Tensor:
     """Return the weight of each layer [..., count, h, w] at `place` [..., 1, h, w]: linear between neighbours."""
-    layers = torch.arange(count, dtype=place.dtype)[:, None, None]
-    return (1 - (place - layers).abs()).clamp(min=0)
+    below = place.detach().floor().clamp(max=count - 2)
+    return _between(place - below, below, below + 1, count)
 
 
 def sector_weights(light: Tensor, count: int) -> Tensor:
@@ -183,10 +183,20 @@ def sector_weights(light: Tensor, count: int) -> Tensor:
     _, azimuth = frames.to_polar(light, dim=-3)
     x, y = light[..., 0:1, :, :], light[..., 1:2, :, :]
     sine = safe.sqrt(x * x + y * y).clamp(max=1)
-    centres = torch.arange(count, dtype=light.dtype)[:, None, None]
-    apart = (azimuth.unsqueeze(-3) * (count / (2 * math.pi)) - centres).abs()
-    near = (1 - torch.minimum(apart, count - apart)).clamp(min=0)
+    place = azimuth.unsqueeze(-3) * (count / (2 * math.pi))
+    below = place.detach().floor()
+    near = _between(place - below, below % count, (below + 1) % count, count)
     return (1 - sine) / count + sine * near
+
+
+def _between(share: Tensor, below: Tensor, above: Tensor, count: int) -> Tensor:
+    """Return weights [..., count, h, w]: `share` for number `above`, the rest for `below`, each [..., 1, h, w].
+
+    Sums of absolute values and clamps would give the same, but at the very numbers a gradient of neither side.
+    """
+    numbers = torch.arange(count, dtype=share.dtype)[:, None, None]
+    rest = torch.where(numbers == above, share, torch.zeros((), dtype=share.dtype))
+    return torch.where(numbers == below, 1 - share, rest)
 
 
 def look_up_layer(stack: Tensor, place: Tensor) -> Tensor:

@@ -5,7 +5,7 @@ A material predicts what its textures hold, so both the writer and `Material.as_
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from torchmat import colour
-from torchmat.errors import RangeError, check_finite, check_option, message
+from torchmat.errors import RangeError, check_finite, check_known_keys, check_option, message
 
 
 @dataclass(frozen=True)
@@ -79,6 +79,45 @@ class MapSpec:
     def channels(self) -> int:
         """Channels of the map: textures times channels of each."""
         return len(self.textures) * self.layer_channels
+
+
+@dataclass(frozen=True)
+class StoredAs:
+    """How one map is stored, where it is not as the others are.
+
+    `size` (height, width) in texels, no larger than the material; None is the full size, (1, 1) means numbers in the
+    manifest instead of a texture. `storage` is a key of STORAGES; None is the material's, or what the map's spec says.
+    """
+
+    size: tuple[int, int] | None = None
+    storage: str | None = None
+
+    @property
+    def numbers(self) -> bool:
+        """Whether the map is a number for each channel."""
+        return self.size == (1, 1)
+
+
+def check_stored(where: str, stored: Mapping[str, StoredAs], specs: Iterable[MapSpec], size: tuple[int, int]) -> None:
+    """Raise RangeError unless maps of `specs`, in a material of `size` texels, can be stored as said."""
+    known = {spec.name: spec for spec in specs}
+    check_known_keys(f"{where} stored", stored, known)
+    for name, one in stored.items():
+        spec = known[name]
+        if not isinstance(one, StoredAs) or spec.constant:
+            fact = f"it is {type(one).__name__}" if not isinstance(one, StoredAs) else "it is numbers already"
+            raise RangeError(message(where, f"stored {name}", "be a StoredAs of a map that has textures", fact))
+        if one.storage is not None:
+            check_option(where, f"the storage of {name}", one.storage, STORAGES)
+        if one.size is None:
+            continue
+        if not spec.per_texel:
+            step = "Use stored_at, which resamples it, or leave its size out."
+            raise RangeError(message(where, f"the size of {name}", "be its own", "all texels share it", step))
+        whole = len(one.size) == 2 and all(isinstance(side, int) and not isinstance(side, bool) for side in one.size)
+        if not whole or not all(1 <= side <= most for side, most in zip(one.size, size, strict=True)):
+            requirement = f"lie in (1, 1) to ({size[0]}, {size[1]})"
+            raise RangeError(message(where, f"the size of {name}", requirement, f"it is {one.size}"))
 
 
 @dataclass(frozen=True)

@@ -3,5 +3,6 @@
 from torchmat.render.camera import Camera
 from torchmat.render.lights import Directional, Point, environment_lights
 from torchmat.render.render import render
+from torchmat.render.scene import Scene
 
-__all__ = ["Camera", "Directional", "Point", "environment_lights", "render"]
+__all__ = ["Camera", "Directional", "Point", "Scene", "environment_lights", "render"]

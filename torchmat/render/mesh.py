@@ -6,6 +6,7 @@ Scenes are right-handed: x right, y up, z toward the viewer. Faces run counter-c
 from __future__ import annotations
 
 import functools
+import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -108,7 +109,7 @@ def as_mesh(mesh: str | Path | Mesh | trimesh.Trimesh) -> Mesh:
     if isinstance(mesh, str) and mesh in SHAPES:
         return _shape(mesh)
     if isinstance(mesh, (str, Path)):
-        if isinstance(mesh, str) and not Path(mesh).suffix and not Path(mesh).exists():
+        if isinstance(mesh, str) and not Path(mesh).suffix and not os.path.exists(mesh):
             check_option("as_mesh", "mesh", mesh, (*SHAPES, "the path of a mesh file"))
         return load_mesh(mesh)
     if hasattr(mesh, "faces") and hasattr(mesh, "vertices"):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import os
 import struct
 import warnings
 from dataclasses import dataclass
@@ -43,8 +44,8 @@ def read_triangles(path: Path) -> Triangles:
     without. Raises DataError, which names the file, when it cannot be read, has no triangles, or a corner that is no
     vertex.
     """
-    if not path.is_file():
-        fact = "it is a folder" if path.is_dir() else "there is none"
+    if not os.path.isfile(path):
+        fact = "it is a folder" if os.path.isdir(path) else "there is none"
         raise DataError(message(str(path), "the mesh file", "exist", fact, "Check the path."))
     placed = _load(path)
     parts = []

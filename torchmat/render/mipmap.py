@@ -32,7 +32,7 @@ class Pyramid:
 
     def __init__(self, shader: Shader) -> None:
         self.levels = [shader]
-        self.size: tuple[int, int] = getattr(shader, "size", (1, 1))
+        self.size: tuple[int, int] = getattr(shader, "whole_size", getattr(shader, "size", (1, 1)))
         # Halves are rounded up: 5 texels become 3, 2, 1.
         self._count = (max(self.size) - 1).bit_length() + 1 if self._shrinks(shader) else 1
 

@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from torchmat.render.lights import Light, Point
+from torchmat.render.mesh import Mesh
 from torchmat.render.mipmap import Pyramid, Shader
 from torchmat.render.visibility import Visible, check_outside
 
@@ -22,27 +23,38 @@ def shade_visible(
     Raises RangeError when a light stands inside of the mesh.
     """
     pyramid = shader if isinstance(shader, Pyramid) else Pyramid(shader)
-    for light in lights:
-        if isinstance(light, Point):
-            check_outside(visible.mesh, "the light", light.position)
+    check_lights(visible.mesh, lights)
     with torch.no_grad():
         values = torch.zeros(3, 1, len(visible.pixel), dtype=visible.position.dtype)
-        seen = visible.view[2, 0] > 0
         parts = pyramid.parts(visible.footprint)
         for light in lights:
-            _add_light(values, parts, visible, light, seen, shadows)
+            _add_light(values, parts, visible, light, shadows)
         return visible.resolve(values)
 
 
-def _add_light(
-    values: Tensor, parts: list, visible: Visible, light: Light, seen: Tensor, shadows: bool
-) -> None:
+def check_lights(mesh: Mesh, lights: Sequence[Light]) -> None:
+    """Raise RangeError when a light stands inside of the mesh."""
+    for light in lights:
+        if isinstance(light, Point):
+            check_outside(mesh, "the light", light.position)
+
+
+def reach(visible: Visible, light: Light, shadows: bool) -> tuple[Tensor, Tensor, Tensor]:
+    """Return a light's direction in each point's frame [3, 1, P], its intensity, and which points it reaches, bool [P].
+
+    With `shadows` only those that no other part of the mesh hides from it.
+    """
     direction, intensity, _ = light.reach(visible.position)
     local = _in_frame(visible.frame, direction)
-    lit = seen & (local[2, 0] > 0)
+    lit = (visible.view[2, 0] > 0) & (local[2, 0] > 0)
     if shadows:
         facing = lit.nonzero()[:, 0]
         lit[facing] = visible.reached_by(light, facing)
+    return local, intensity, lit
+
+
+def _add_light(values: Tensor, parts: list, visible: Visible, light: Light, shadows: bool) -> None:
+    local, intensity, lit = reach(visible, light, shadows)
     for shader, which, weight in parts:
         chosen = lit.nonzero()[:, 0] if isinstance(which, slice) else which[lit[which]]
         if not len(chosen):

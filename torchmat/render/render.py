@@ -12,21 +12,20 @@ from torch import Tensor
 from torchmat.errors import RangeError, message
 from torchmat.render.camera import Camera
 from torchmat.render.lights import DEFAULT_LIGHT, Directional, Light, as_light, unit
-from torchmat.render.mesh import Mesh, as_mesh
+from torchmat.render.mesh import Mesh
 from torchmat.render.mipmap import Pyramid, Shader
-from torchmat.render.objects import shade_visible
-from torchmat.render.visibility import picture_size, see
+from torchmat.render.scene import FRONT, PATCH, Scene
+from torchmat.render.visibility import picture_size
 
 if TYPE_CHECKING:
     import trimesh
 
-PATCH = "patch"
-FRONT = (0.0, 0.0, 1.0)
+_ONE_LIGHT = (DEFAULT_LIGHT,)
 
 
 def render(
-    material: Shader, mesh: str | Path | Mesh | trimesh.Trimesh = "sphere",
-    lights: Sequence[Light | Sequence[float]] = (DEFAULT_LIGHT,), view: Sequence[float] = FRONT,
+    material: Shader, mesh: str | Path | Mesh | trimesh.Trimesh | Scene = "sphere",
+    lights: Sequence[Light | Sequence[float]] = _ONE_LIGHT, view: Sequence[float] = FRONT,
     size: int | tuple[int, int] = 512, repeat: float = 1.0, *, camera: Camera | None = None, shadows: bool = False,
     rays: int = 4, edges_only: bool = False,
 ) -> Tensor:
@@ -40,21 +39,31 @@ def render(
     `repeat` multiplies texture coordinates. With `shadows` parts of the object hide others from the light. `rays` 1, 4, 9
     or 16 go through a pixel; `edges_only` sends one through those whose neighbours show the same.
 
-    To light one view again and again, keep what it sees: `see` and `shade_visible`.
+    Instead of a mesh a Scene may be given, which holds all that follows and keeps what its camera sees. To light one
+    view again and again, use `see` and `shade_visible`.
     Raises RangeError for what lies outside, ShapeError for directions that are not x, y, z, DataError for a bad mesh.
     """
+    if isinstance(mesh, Scene):
+        alone = lights is _ONE_LIGHT and view is FRONT and camera is None
+        if not alone or (size, repeat, shadows, rays, edges_only) != (512, 1.0, False, 4, False):
+            fact = "lights, camera or sizes are given beside it"
+            raise RangeError(message("render", "a Scene", "come alone", fact, "Give them to the Scene."))
+        return mesh.picture(_checked(material))
     picture_size(size, repeat, rays)
+    _checked(material)
+    if isinstance(mesh, str) and mesh == PATCH:
+        lamps = [as_light(light) for light in lights]
+        return _patch(material, lamps, unit("render", "view", view, material.dtype), size, repeat)
+    return Scene(mesh, lights, camera, view, size, repeat, shadows, rays, edges_only).picture(material)
+
+
+def _checked(material: Shader) -> Shader:
+    """Return the material if it can be rendered; raises RangeError."""
     if not hasattr(material, "shade_at"):
         step = "Use load_material, load_brdf, or RawBtf(btf)."
         fact = f"it is a {type(material).__name__}"
         raise RangeError(message("render", "material", "be a Material, a Brdf or a RawBtf", fact, step))
-    lamps = [as_light(light) for light in lights]
-    if mesh == PATCH:
-        return _patch(material, lamps, unit("render", "view", view, material.dtype), size, repeat)
-    body = as_mesh(mesh)
-    eye = camera or Camera.framing(body.centre, body.radius, view)
-    visible = see(body, eye, size, rays, edges_only, repeat, material.dtype)
-    return shade_visible(material, visible, lamps, shadows)
+    return material
 
 
 def _patch(material: Shader, lights: list[Light], view: Tensor, size: int | tuple[int, int], repeat: float) -> Tensor:

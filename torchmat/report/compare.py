@@ -1,96 +1,90 @@
-"""Several models on the same data and the same held-out directions: error beside bytes and seconds."""
+"""Several models and solvers on one set of held-out directions: error beside bytes, seconds and shading speed."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 from torchmat import atomic
-from torchmat.btf import Btf
-from torchmat.errors import FitError, RangeError, message
-from torchmat.fit import fit
-from torchmat.fit.config import parse_value
-from torchmat.fit.registry import resolve_options
+from torchmat.btf import Btf, split_samples
+from torchmat.errors import RangeError, check_option, message
+from torchmat.fit.on_relief import GEOMETRIES
+from torchmat.fit.registry import SOLVERS, resolve_options
 from torchmat.progress import progress as progress_bar
+from torchmat.report.compare_plots import PLOTS, write_plots
+from torchmat.report.compare_rows import Entry, Setting, entry_of, judged, make_row, mark_fronts, parse_model
 from torchmat.report.html import comparison_page
-from torchmat.report.pictures import plotting, save_figure
-from torchmat.report.tables import COMPARE_COLUMNS, to_json, write_csv
+from torchmat.report.tables import COMPARE_COLUMNS, COMPARE_MEANINGS, to_json, write_csv
 
-DEFAULT_MODELS = (
+__all__ = ["CLOSED_FORMS", "DEFAULT_MODELS", "check_target", "compare", "parse_model", "write_comparison"]
+
+CLOSED_FORMS = (
     "texture", "lambert", "lptm", "ptm", "hsh:terms=4", "hsh:terms=9", "hsh:terms=16", "phong_srf",
     "phong_srf:residual=half_light", "phong_srf:residual=quadratic", "phong_srf:base=ashikhmin_shirley",
     "pca:components=8", "pca:components=16", "local_pca", "sphere_images", "shading_map",
     "shading_map:brdf=ggx,azimuths=4",
 )
-_LEAST = 1e-9  # errors below are drawn there
-_FILES = ("comparison.json", "comparison.csv", "comparison.html", "error_against_bytes.png", "error_against_seconds.png")
 
 
-def parse_model(text: str) -> tuple[str, dict[str, Any]]:
-    """Split ``hsh:terms=9,storage=png8`` into the model's name and its options, both checked."""
-    name, _, rest = text.partition(":")
-    options: dict[str, Any] = {}
-    for part in filter(None, rest.split(",")):
-        key, separator, value = part.partition("=")
-        if not separator:
-            raise RangeError(message("compare", repr(text), "be NAME:KEY=VALUE,...", f"{part!r} has no '='"))
-        options[key.strip()] = parse_value(value)
-    return name, resolve_options(name, options) and options
+# Where no solver is the obvious one, all of them; the first is the model's own.
+_SOLVERS_DIFFER = ("phong_srf", "distribution")
+DEFAULT_MODELS = (
+    *CLOSED_FORMS, "distribution", "neural",
+    *(f"{model}:solver={solver}" for model in _SOLVERS_DIFFER for solver in SOLVERS[model][1:]),
+)
+_FILES = ("comparison.json", "comparison.csv", "comparison.html", *(f"{name}.png" for name in PLOTS))
 
 
 def compare(
-    btf: Btf, models: Sequence[str] = DEFAULT_MODELS, *, holdout: float = 0.2, holdout_by: str = "pair", seed: int = 0,
-    progress: bool | None = None,
+    btf: Btf, models: Sequence[str] = DEFAULT_MODELS, *, budget: float | None = None, repeats: int = 1,
+    geometry: str = "flat", curves: bool = True, holdout: float = 0.2, holdout_by: str = "pair", seed: int = 0,
+    progress: bool | None = None, each: Callable[[list[dict[str, Any]]], Any] | None = None,
 ) -> list[dict[str, Any]]:
-    """Fit each model on the same split; return a row each: error, bytes, seconds, shading rate, and the full report.
+    """Fit each model on the same split; return a row each: error, bytes, seconds, memory, shading rate, full report.
 
-    A model is a name, or a name with options: ``"hsh:terms=9"``. A model that the data cannot determine gets a row
-    whose figures are None and whose `failed` says why; nothing else is hidden.
+    A model is a name, or a name with options: ``"hsh:terms=9"``, ``"phong_srf:solver=adam"``,
+    ``"lambert:geometry=recover"``; `geometry` is that of all whose text says nothing of it. `budget` is how many
+    seconds an iterative solver may take, which then stops with the best it has. With `repeats` each model is fitted so
+    often, on the same split from the same seed: seconds are the median, with their spread, and `same_bits` says whether
+    the result was the same. `curves` adds to the rows of iterative solvers the error on some held-out samples against
+    seconds, measured off the clock. `each` is called with the rows so far after every model, so that a long comparison
+    that is interrupted has lost nothing.
+
+    A model that the data cannot determine gets a row whose figures are None and whose `failed` says why; nothing else
+    is hidden. What the columns mean stands in `report.tables.COMPARE_MEANINGS`. Raises RangeError, before any fit, for
+    models that are unknown or given twice, and for a budget or repeats that leave nothing.
     """
-    parsed = [(text, *parse_model(text)) for text in models]
-    rows = []
-    for text, name, options in progress_bar(parsed, "comparing", total=len(parsed), show=progress):
-        row: dict[str, Any] = dict.fromkeys(COMPARE_COLUMNS)
-        row |= {"model": text, "failed": None}
-        try:
-            report = fit(btf, name, holdout=holdout, holdout_by=holdout_by, seed=seed, progress=False, **options).report
-        except FitError as error:
-            row["failed"] = str(error)
-        else:
-            row |= _row(report)
-        rows.append(row)
+    entries = _entries(models, geometry)
+    if budget is not None and not budget > 0:
+        step = "It is the seconds of one fit."
+        raise RangeError(message("compare", "budget", "be positive", f"it is {budget}", step))
+    if not isinstance(repeats, int) or isinstance(repeats, bool) or repeats < 1:
+        raise RangeError(message("compare", "repeats", "be a whole number of at least 1", f"it is {repeats!r}"))
+    split_samples(btf, holdout, holdout_by, seed)  # what is wrong with the split is no model's failure
+    setting = Setting({"holdout": holdout, "holdout_by": holdout_by, "seed": seed}, budget, repeats, curves)
+    rows: list[dict[str, Any]] = []
+    for entry in progress_bar(entries, "comparing", total=len(entries), show=progress):
+        rows = mark_fronts([*rows, make_row(btf, entry, setting)])
+        if each is not None:
+            each(rows)
     return rows
 
 
-def _row(report: dict[str, Any]) -> dict[str, Any]:
-    held_out, after = report["held_out"] or report["train"], report["held_out_after_export"] or {}
-    kept = ("bytes_per_texel", "shared_bytes", "fit_seconds", "shade_mtexels_per_s")
-    return {
-        **{name: report[name] for name in kept}, "train_relative_error": report["train"]["relative_error"],
-        "relative_error": held_out["relative_error"], "psnr_db": held_out["psnr_db"],
-        "relative_error_after_export": after.get("relative_error"), "report": report,
-    }
-
-
-def _scatter(rows: list[dict[str, Any]], column: str, label: str, path: Path) -> Path:
-    figure, axis = plotting().subplots(figsize=(7.5, 4.6))
-    # A perfect fit stands at the foot of the logarithmic axis; black data has no relative error.
-    known = [row for row in rows if row["relative_error"] is not None]
-    done = [(row[column], max(row["relative_error"], _LEAST), row["model"]) for row in known]
-    best = float("inf")
-    for cost, error, model in sorted(done):
-        front = error < best
-        best = min(best, error)
-        axis.plot(cost, error, "o", color="C1" if front else "C0", markersize=7 if front else 5)
-        axis.annotate(model, (cost, error), fontsize=7, xytext=(4, 3), textcoords="offset points")
-    axis.set_xscale("log")
-    axis.set_yscale("log")
-    axis.set_xlabel(label)
-    axis.set_ylabel("relative error, held out")
-    axis.set_title("orange: nothing cheaper is better", fontsize=8)
-    axis.grid(alpha=0.3, which="both")
-    return save_figure(figure, path)
+def _entries(models: Sequence[str], geometry: str) -> list[Entry]:
+    check_option("compare", "geometry", geometry, GEOMETRIES)
+    if isinstance(models, str) or not models:
+        step = "Leave it out for all families."
+        raise RangeError(message("compare", "models", "be a list of at least one", f"it is {models!r}", step))
+    entries = [entry_of(text, geometry) for text in models]
+    seen: dict[str, str] = {}
+    for entry in entries:
+        key = repr((entry.model, entry.geometry, sorted(resolve_options(entry.model, entry.options).items())))
+        if key in seen:
+            fact = f"{entry.text!r} is the same as {seen[key]!r}"
+            raise RangeError(message("compare", "the models", "differ", fact, "Use repeats to fit one several times."))
+        seen[key] = entry.text
+    return entries
 
 
 def check_target(target: str | Path) -> None:
@@ -98,20 +92,21 @@ def check_target(target: str | Path) -> None:
     atomic.refuse_foreign(Path(target), lambda name: name in _FILES, "an earlier comparison")
 
 
-def write_comparison(rows: list[dict[str, Any]], folder: str | Path, title: str = "Comparison of models") -> Path:
-    """Write rows as JSON, CSV and one HTML page with plots, whole or not at all; return the folder."""
+def write_comparison(
+    rows: list[dict[str, Any]], folder: str | Path, title: str = "Comparison of models", plots: bool = True
+) -> Path:
+    """Write rows as JSON, CSV and one HTML page with plots, whole or not at all; return the folder.
+
+    `plots` False leaves the pictures out, which take most of the time: for rows that are not all there yet.
+    """
     target = Path(folder)
     check_target(target)
     with atomic.building(target) as building:
         (building / "comparison.json").write_text(to_json(rows), encoding="utf-8")
         write_csv(rows, building / "comparison.csv")
-        pictures = []
-        if any(row["relative_error"] is not None for row in rows):
-            pictures = [
-                _scatter(rows, "bytes_per_texel", "bytes per texel", building / "error_against_bytes.png"),
-                _scatter(rows, "fit_seconds", "fit seconds", building / "error_against_seconds.png"),
-            ]
+        drawn = plots and any(judged(row) is not None for row in rows)
+        pictures = write_plots(rows, building) if drawn else []
         cells = [[row[column] for column in COMPARE_COLUMNS] for row in rows]
-        page = comparison_page(title, COMPARE_COLUMNS, cells, pictures)
+        page = comparison_page(title, COMPARE_COLUMNS, cells, pictures, COMPARE_MEANINGS)
         (building / "comparison.html").write_text(page, encoding="utf-8")
     return target

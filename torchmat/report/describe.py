@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from pathlib import Path
 
 import torch
@@ -16,6 +17,7 @@ from torchmat.btf import Btf
 from torchmat.material_io import load_material
 from torchmat.material_io.folder import MANIFEST
 from torchmat.material_io.volume import is_volume
+from torchmat.models.storage import StoredAs
 from torchmat.report.tables import number, text_table
 
 _ALBEDO_DEG = (0, 45, 75)
@@ -24,12 +26,12 @@ _STEPS = 128  # the albedo of Lambert is then right to 2e-4
 
 def is_material(path: str | Path) -> bool:
     """Return whether `path` is a material folder or a shading map's ``.3pm`` file."""
-    return (Path(path) / MANIFEST).is_file() or (is_volume(path) and Path(path).is_file())
+    return os.path.isfile(Path(path) / MANIFEST) or (is_volume(path) and os.path.isfile(path))
 
 
 def is_brdf(path: str | Path) -> bool:
     """Return whether `path` is a file of a measured BRDF, or is called like one (and then is reported if damaged)."""
-    return Path(path).is_file() and (brdf_kind(path) is not None or Path(path).suffix.lower() in SUFFIXES)
+    return os.path.isfile(path) and (brdf_kind(path) is not None or Path(path).suffix.lower() in SUFFIXES)
 
 
 def _polar_range(directions: Tensor) -> str:
@@ -70,11 +72,18 @@ def describe_material(path: str | Path) -> str:
         ["size", f"{height} x {width} texels"],
         ["bytes per texel (+ shared)", f"{number(material.bytes_per_texel)} (+ {material.shared_bytes})"],
     ]
+    if material.stored:
+        facts.append(["stored otherwise", ", ".join(map(_stored_text, material.stored, material.stored.values()))])
     maps = []
     for spec in material.specs():
         value = material.maps[spec.name].detach()
         maps.append([spec.name, spec.meaning, str(tuple(value.shape)), float(value.min()), float(value.max())])
     return text_table(["", ""], facts) + "\n\n" + text_table(["map", "meaning", "shape", "least", "largest"], maps)
+
+
+def _stored_text(name: str, stored: StoredAs) -> str:
+    size = "numbers" if stored.numbers else f"{stored.size[0]} x {stored.size[1]}" if stored.size else ""
+    return " ".join(filter(None, (name, size, stored.storage)))
 
 
 def describe_brdf(path: str | Path) -> str:

@@ -4,18 +4,21 @@ from __future__ import annotations
 
 import base64
 import html
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from torchmat.report.tables import error_rows, number
+from torchmat.report.decisions import decision_rows, map_rows, outcome_text, shrinking_rows, wanted_text
+from torchmat.report.tables import error_rows, number, scene_rows
 
 _STYLE = """
 body{font-family:system-ui,sans-serif;margin:2em auto;max-width:62em;padding:0 1em;color:#222}
 table{border-collapse:collapse;margin:1em 0}td,th{padding:.3em .8em;border-bottom:1px solid #ddd;text-align:right}
 td:first-child,th:first-child{text-align:left}img{max-width:100%}figure{margin:2em 0}figcaption{color:#555}
+.wide{overflow-x:auto;font-size:80%}dt{font-weight:bold}dd{margin:0 0 .4em 1em}
 """
 _CAPTIONS = {
+    "decisions": "What was tried: error against bytes, on samples kept back.",
     "comparison": "Target, fit and difference at the held-out samples of median and largest error, and the most grazing.",
     "error_by_angle": "Error against the polar angle of light and view.",
     "sphere": "The material on a sphere.",
@@ -23,6 +26,7 @@ _CAPTIONS = {
     "directions": "Lights and views on the projected hemisphere.",
     "error_against_bytes": "Held-out error against bytes per texel.",
     "error_against_seconds": "Held-out error against fit seconds.",
+    "error_against_shading": "Held-out error against shading throughput: what lies to the right is faster.",
 }
 
 
@@ -71,9 +75,23 @@ def fit_page(report: dict[str, Any], pictures: Sequence[Path]) -> str:
         _table(*error_rows(report)),
         _table(["", ""], facts), *map(_figure, pictures), "<h2>By polar angle</h2>", _bands(report),
     ]
+    if "scene" in report:
+        body.insert(1, "<h2>The scene</h2>" + _table(["", ""], scene_rows(report)))
+    choice = report["figures"].get("auto")
+    if choice:
+        heading = [f"<h2>{html.escape(outcome_text(choice))}</h2>", f"<p>Wanted: {html.escape(wanted_text(choice))}.</p>"]
+        body = [*heading, *body, "<h2>What was tried</h2>", _table(*decision_rows(choice))]
+        body += ["<h2>How the textures are stored</h2>", _table(*map_rows(choice)), _table(*shrinking_rows(choice))]
     return _page(f"{report['model']} fitted to {Path(source['path']).name}", body)
 
 
-def comparison_page(title: str, header: Sequence[str], rows: Sequence[Sequence[Any]], pictures: Sequence[Path]) -> str:
-    """Return the page of a comparison of models."""
-    return _page(title, [_table(header, rows), *map(_figure, pictures)])
+def comparison_page(
+    title: str, header: Sequence[str], rows: Sequence[Sequence[Any]], pictures: Sequence[Path],
+    meanings: Mapping[str, str] | None = None,
+) -> str:
+    """Return the page of a comparison of models; `meanings` explains its columns."""
+    pairs = (meanings or {}).items()
+    words = "".join(f"<dt>{html.escape(name)}</dt><dd>{html.escape(text)}</dd>" for name, text in pairs)
+    explained = [f"<h2>What the columns mean</h2><dl>{words}</dl>"] if words else []
+    table = f'<div class="wide">{_table([name.replace("_", " ") for name in header], rows)}</div>'
+    return _page(title, [table, *map(_figure, pictures), *explained])

@@ -11,10 +11,38 @@ from pathlib import Path
 from typing import Any
 
 FIGURES = ("relative_error", "psnr_db", "psnr_log_db", "ssim", "delta_e", "mse")
-COMPARE_COLUMNS = (
-    "model", "bytes_per_texel", "shared_bytes", "fit_seconds", "shade_mtexels_per_s", "train_relative_error",
-    "relative_error", "psnr_db", "relative_error_after_export",
+COMPARE_MEANINGS = {
+    "model": "The model and its options, as the command line takes them.",
+    "solver": "How its numbers are found.",
+    "geometry": "Flat, or the relief that was recovered; \"flat (recover)\" where none was found worth it.",
+    "bytes_per_texel": "Bytes of the textures' codes per texel.",
+    "shared_bytes": "Bytes of what all texels share: tables and numbers.",
+    "total_bytes_per_texel": "Both together, per texel of this data.",
+    "fit_seconds": "Seconds of the fit, the images already decoded: the median of all repeats.",
+    "fit_seconds_spread": "The longest less the shortest of the repeats.",
+    "fit_memory_mb": "The most memory that the fit took beyond what was held before it, in MB. Where a curve is drawn "
+    "and nothing repeated, measuring it is included.",
+    "shade_mtexels_per_s": "Million texels shaded a second under one light and view.",
+    "train_relative_error": "Relative error on samples that the fit saw.",
+    "relative_error": "Relative error on held-out samples, the same for all models.",
+    "psnr_db": "PSNR there, in dB.",
+    "relative_error_after_export": "Relative error on held-out samples of what the textures hold.",
+    "psnr_db_after_export": "PSNR of that, in dB.",
+    "stop_reason": "Why the solver stopped; \"budget spent\": it would have gone on.",
+    "front": "In what no other row is both better and cheaper: bytes, seconds, shading.",
+    "same_bits": "Whether all repeats gave the same bits; a fit that a budget stopped need not.",
+    "failed": "Why there is no result.",
+}
+COMPARE_COLUMNS = tuple(COMPARE_MEANINGS)
+_ON_A_TERMINAL = (
+    "model", "total_bytes_per_texel", "fit_seconds", "fit_seconds_spread", "fit_memory_mb", "shade_mtexels_per_s",
+    "train_relative_error", "relative_error", "psnr_db", "relative_error_after_export", "front",
 )
+_SHORT = {
+    "total_bytes_per_texel": "bytes/texel", "fit_seconds": "fit (s)", "fit_seconds_spread": "spread",
+    "fit_memory_mb": "MB", "shade_mtexels_per_s": "Mtexel/s", "train_relative_error": "seen",
+    "relative_error": "unseen", "psnr_db": "dB", "relative_error_after_export": "exported",
+}
 
 
 def _plain(value: Any) -> Any:
@@ -82,9 +110,32 @@ def summary_table(report: dict[str, Any]) -> str:
     return text_table(["", ""], rows)
 
 
+def scene_rows(report: dict[str, Any]) -> list[list[Any]]:
+    """Return what a fit for a scene saves, and how true it is inside and outside."""
+    scene = report["scene"]
+    samples = f"{scene['samples']} ({number(scene['samples_share'])} of all)"
+    size = f"{samples} x {scene['texels']} ({number(scene['texels_share'])})"
+    rows = [
+        ["samples x texels fitted", size],
+        ["bytes, of the whole texture", f"{scene['bytes']}, {scene['whole_bytes']}"],
+        ["use beyond the measured directions", scene["outside_measured_share"]],
+    ]
+    errors = {
+        "inside_points": "relative error at the scene's points", "inside_held_out": "on held-out samples, as used",
+        "outside_held_out": "on held-out samples, unused",
+    }
+    return rows + [[text, scene[name]] for name, text in errors.items() if name in scene]
+
+
+def scene_table(report: dict[str, Any]) -> str:
+    """Return what a fit for a scene saves, and how true it is inside and outside, as a table."""
+    return text_table(["the scene", ""], scene_rows(report))
+
+
 def comparison_table(rows: list[dict[str, Any]]) -> str:
-    """Return the rows of a comparison as a table."""
-    return text_table(COMPARE_COLUMNS, [[row[column] for column in COMPARE_COLUMNS] for row in rows])
+    """Return the rows of a comparison as a table, the columns that fit on a terminal."""
+    header = [_SHORT.get(column, column) for column in _ON_A_TERMINAL]
+    return text_table(header, [[row[column] for column in _ON_A_TERMINAL] for row in rows])
 
 
 def write_csv(rows: list[dict[str, Any]], path: Path) -> None:

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from torchmat.btf import Btf
 from torchmat.fit import FitResult, evaluate
+from torchmat.fit.evaluate import comparable
 from torchmat.frames import half_vector
 from torchmat.material_io import packed, save_material
 from torchmat.models import Distribution
+from torchmat.report.decisions import decisions_picture, decisions_text
 from torchmat.report.html import fit_page
 from torchmat.report.maps import hemisphere_picture, maps_picture
 from torchmat.report.pictures import write_pictures
@@ -19,18 +22,27 @@ from torchmat.report.tables import to_json
 def write_fit(btf: Btf, result: FitResult, folder: str | Path, pictures: bool = True) -> Path:
     """Write the material of `result`, `report.json`, and unless told not to, `pictures/` and `report.html`.
 
+    Of an automatic choice `decisions.txt` says what was tried and why it was kept or left.
     Everything appears together in one step; see `save_material` for what may be replaced.
     """
 
     report = _with_packing(btf, result)
+    # Pictures compare texel by texel; what is stored stays as it is.
+    shown, btf = comparable(result.material, btf)
+    pictured = replace(result, material=shown)
 
     def companions(building: Path) -> None:
         (building / "report.json").write_text(to_json(report), encoding="utf-8")
+        choice = report["figures"].get("auto")
+        if choice:
+            (building / "decisions.txt").write_text(decisions_text(choice), encoding="utf-8")
         if pictures:
-            written = write_pictures(btf, result, building / "pictures")
+            written = write_pictures(btf, pictured, building / "pictures")
             half = half_vector(btf.lights[:, None], btf.views[None], dim=-1).flatten(0, 1)
             written.append(maps_picture(result.material, building / "pictures" / "maps.png", half))
             written.append(hemisphere_picture(result.material, building / "pictures" / "hemisphere.png"))
+            if choice:
+                written.insert(0, decisions_picture(choice, building / "pictures" / "decisions.png"))
             (building / "report.html").write_text(fit_page(report, written), encoding="utf-8")
 
     return save_material(result.material, folder, _provenance(result.report), companions)

@@ -16,12 +16,14 @@ class Neighbours(NamedTuple):
     """Around each of P directions: `index` [P, k] of known ones, `weight` [P, k] that add up to 1, and `ratio` [P].
 
     `ratio` is z of the direction over z of the one that the weights stand for: 1 among the known ones, and beyond them
-    a share that falls to 0 at the horizon. All float64.
+    a share that falls to 0 at the horizon. `beyond` [P] is how far apart the two are in the disc, 0 among the known
+    ones. All float64.
     """
 
     index: Tensor
     weight: Tensor
     ratio: Tensor
+    beyond: Tensor
 
 
 def to_disc(direction: Tensor) -> Tensor:
@@ -74,7 +76,9 @@ class Triangulation:
         ratio = np.ones(len(points))
         # Both from the disc, so that rounding in float32 directions near the horizon cancels for a known one.
         ratio[outside] = _cosine(points[outside]) / _cosine(reached)
-        return Neighbours(torch.from_numpy(index), torch.from_numpy(weight), torch.from_numpy(ratio))
+        beyond = np.zeros(len(points))
+        beyond[outside] = np.linalg.norm(points[outside] - reached, axis=1)
+        return Neighbours(*map(torch.from_numpy, (index, weight, ratio, beyond)))
 
     def _along(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the two known points around the foot of each point on the arc, [P, 2] each."""

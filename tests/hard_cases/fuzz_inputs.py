@@ -1,0 +1,204 @@
+"""Good files to start from, one or a few for everything that reads a file.
+
+Each function writes into an empty folder and returns what is to be read: the folder, or a file in it.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import struct
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import torch
+from brdf.files import merl_bytes, rgl_fields, tensor_bytes
+from btf.files import ANGLES, put_btf, put_image, random_codes, zipped
+from models.distributions import ALL_PARTS, distribution
+from models.examples import make
+from render.mesh_files import SQUARE, SQUARE_UV, TWO, glb_of, put_obj, put_ply, put_stl
+
+import torchmat as tm
+from torchmat.geometry import Relief
+from torchmat.material_io.packing import pack
+from torchmat.material_io.relief import save_relief
+from torchmat.models.storage import StoredAs
+
+MADE = (1_700_000_000, 1_700_000_000)  # when files were made: by it a store in the cache knows its source again
+Put = Callable[[Path], Path]
+
+
+def named_putter(pattern: str) -> Put:
+    def put(folder: Path) -> Path:
+        for number, angles in enumerate(ANGLES):
+            put_image(folder / (pattern % angles), random_codes(number, (2, 3, 3)))
+        return folder
+
+    return put
+
+
+def put_rti(folder: Path) -> Path:
+    for number in range(3):
+        put_image(folder / f"{number}.png", random_codes(number, (2, 3, 3)))
+    folder.joinpath("dirs.lp").write_text("3\n0.png 0 0 1\n1.png 0.6 0 0.8\n2.png 0 -0.6 0.8\n")
+    return folder
+
+
+def put_manifest(folder: Path) -> Path:
+    return put_btf(folder, shape=(2, 3, 3))
+
+
+def put_zip(folder: Path, put: Put = put_manifest) -> Path:
+    put(folder / "d")
+    archive = zipped(folder / "d")
+    for path in (folder / "d").iterdir():
+        path.unlink()
+    (folder / "d").rmdir()
+    return archive
+
+
+def put_cached(folder: Path) -> Path:
+    (folder / "btf").mkdir()
+    for path in put_btf(folder / "btf", shape=(2, 3, 3)).iterdir():
+        os.utime(path, MADE)
+    tm.load_btf(folder / "btf", cache=folder / "cache", invalid="mask")
+    return folder
+
+
+def image_putter(suffix: str, dtype: str, channels: int = 3) -> Put:
+    def put(folder: Path) -> Path:
+        # Grains of noise as in photographs, so that a lost part shows in the pixels.
+        return put_image(folder / f"a.{suffix}", random_codes(1, (16, 16, channels), dtype))
+
+    return put
+
+
+def material_putter(model: str, options: dict, storage: str) -> Put:
+    def put(folder: Path) -> Path:
+        tm.save_material(make(model, options, 4, 6, dtype=torch.float32, storage=storage), folder)
+        return folder
+
+    return put
+
+
+def put_small(folder: Path) -> Path:
+    """Write a material that stores one map in a smaller size."""
+    material = make("lambert", {}, 4, 6, dtype=torch.float32, storage="png8")
+    return tm.save_material(material.stored_at({"albedo": StoredAs(size=(2, 3))}), folder)
+
+
+def put_distribution(folder: Path) -> Path:
+    tm.save_material(distribution(4, 4, lobes=2, parts=ALL_PARTS, relief=True), folder)
+    return folder
+
+
+def put_packed(folder: Path) -> Path:
+    return pack(distribution(4, 4, lobes=2, parts=ALL_PARTS, relief=True), folder, 8)
+
+
+def put_volume(folder: Path) -> Path:
+    codes = np.random.default_rng(0).integers(0, 256, 4 * 2 * 3 * 3, dtype=np.uint8)
+    (folder / "a.3pm").write_bytes(b"VL\n#components 3\n3 2 4\n255\n" + codes.tobytes())
+    return folder / "a.3pm"
+
+
+@cache
+def rgl(azimuths: int) -> bytes:
+    return tensor_bytes(rgl_fields(azimuths))
+
+
+def rgl_putter(azimuths: int) -> Put:
+    def put(folder: Path) -> Path:
+        (folder / "a.bsdf").write_bytes(rgl(azimuths))
+        return folder / "a.bsdf"
+
+    return put
+
+
+def put_merl(folder: Path) -> Path:
+    table = np.random.default_rng(0).uniform(-0.1, 5, (3, 4, 3, 6))
+    (folder / "a.binary").write_bytes(merl_bytes(table))
+    return folder / "a.binary"
+
+
+_CONFIG = """model = "phong_srf"
+holdout = 0.2
+holdout_by = "pair"
+seed = 3
+geometry = "flat"
+tiles = true
+[options]
+residual = "half_light"
+ridge = 0.5
+[data]
+kind = "manifest"
+crop = [0, 0, 8, 8]
+exposure = 1.5
+"""
+
+
+def put_config(folder: Path) -> Path:
+    (folder / "a.toml").write_text(_CONFIG)
+    return folder / "a.toml"
+
+
+def mesh_putter(kind: str) -> Put:
+    def put(folder: Path) -> Path:
+        path = folder / f"a.{kind.removesuffix('_ascii')}"
+        normal = np.tile([0.0, 0, 1], (4, 1))
+        if kind == "obj":
+            return put_obj(path, SQUARE, TWO, SQUARE_UV, normal)
+        if kind in ("ply", "ply_ascii"):
+            return put_ply(path, SQUARE, TWO, SQUARE_UV, normal, binary=kind == "ply")
+        if kind == "stl":
+            return put_stl(path, SQUARE, TWO)
+        if kind == "glb":
+            part = {"position": SQUARE, "faces": TWO, "uv": SQUARE_UV, "normal": normal, "material": 0}
+            nodes = [{"mesh": 0, "children": [1]}, {"mesh": 0, "translation": [1, 2, 3]}]
+            path.write_bytes(glb_of([part], nodes, materials=[{}]))
+        else:
+            path.write_bytes(_TEXT_MESHES[kind])
+        return path
+
+    return put
+
+
+_FACET = b"facet normal 0 0 1\nouter loop\nvertex 0 0 %d\nvertex 1 0 %d\nvertex 0 1 %d\nendloop\nendfacet\n"
+_TEXT_MESHES = {
+    "off": b"OFF\n4 2 0\n0 0 0\n1 0 1\n1 1 1\n0 1 0\n3 0 1 2\n3 0 2 3\n",
+    "stl_ascii": b"solid a\n%s%sendsolid a\n" % (_FACET % (0, 0, 0), _FACET % (1, 1, 1)),
+}
+
+
+def put_gltf(folder: Path) -> Path:
+    data = glb_of([{"position": SQUARE, "faces": TWO, "uv": SQUARE_UV}], [{"mesh": 0}])
+    length = struct.unpack_from("<I", data, 12)[0]
+    tree = json.loads(data[20 : 20 + length])
+    tree["buffers"][0]["uri"] = "a.bin"
+    (folder / "a.gltf").write_text(json.dumps(tree))
+    (folder / "a.bin").write_bytes(data[28 + length :])
+    return folder / "a.gltf"
+
+
+def relief_putter(depth: str) -> Put:
+    def put(folder: Path) -> Path:
+        height = torch.rand(1, 4, 5, generator=torch.Generator().manual_seed(0))
+        normal = torch.tensor([0.0, 0.0, 1.0])[:, None, None].expand(3, 4, 5)
+        return save_relief(Relief(height, normal), folder, depth)
+
+    return put
+
+
+def put_lights(folder: Path) -> Path:
+    (folder / "lights.txt").write_text("# x y z\n0 0 1\n0.6 0 0.8\n0 -0.6 0.8\n-0.6 0 0.8\n")
+    return folder / "lights.txt"
+
+
+def put_textures(folder: Path) -> Path:
+    for number, kind in enumerate(("Color", "NormalGL", "Roughness", "Displacement")):
+        codes = random_codes(number, (4, 4, 3 if number < 2 else 1))
+        codes[..., -1] = codes[..., -1] // 4 + 190
+        put_image(folder / f"a_{kind}.png", codes)
+    return folder

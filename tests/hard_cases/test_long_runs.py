@@ -1,0 +1,16 @@
+"""Memory and time do not grow over many runs; the short form of `long_runs`."""
+
+from __future__ import annotations
+
+from hard_cases import long_runs
+
+
+def test_fits_and_renders_leave_no_memory_behind():
+    for row in long_runs.run(60):
+        assert row["figure"] <= long_runs.MOST_GROWTH_MB, row
+
+
+def test_what_is_kept_would_be_found():
+    kept = []
+    row = long_runs.repeated("kept", lambda number: kept.append(bytearray(2_000_000)), 20)
+    assert not row["passed"] and row["figure"] > long_runs.MOST_GROWTH_MB

@@ -1,0 +1,132 @@
+"""Storable: maps as textures, of any size and depth, and what they take."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any, Self
+
+import torch
+from torch import Tensor, nn
+
+from torchmat.models.cutout import Cutout
+from torchmat.models.resample import ANY_SIZE, resample, restored, shrunk
+from torchmat.models.storage import STORAGES, MapSpec, StoredAs, decode, encode
+
+
+class Storable(nn.Module):
+    """What a material knows of its own textures.
+
+    `storage` is how they are stored unless `stored` says otherwise of a map; `options` make another material like it.
+    """
+
+    maps: nn.ParameterDict
+    storage: str
+    stored: dict[str, StoredAs]
+    tiles: bool
+    cutout: Cutout | None
+    options: dict[str, Any]
+
+    def specs(self) -> tuple[MapSpec, ...]:
+        """Return what each map is."""
+        raise NotImplementedError
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Height and width in texels."""
+        raise NotImplementedError
+
+    def settings(self, maps: Mapping[str, Tensor]) -> dict[str, Any]:
+        """Return the keywords besides the options that make a material of other `maps` be stored and tile like this."""
+        stored = {name: one for name, one in self.stored.items() if name in maps}
+        return {"storage": self.storage, "tiles": self.tiles, "stored": stored, "cutout": self.cutout}
+
+    def _like(self, maps: Mapping[str, Tensor], **changed: Any) -> Self:
+        return type(self)(maps, **{**self.settings(maps), **changed}, **self.options)
+
+    def stored_as(self, storage: str) -> Self:
+        """Return the same material with its textures to be stored as `storage`."""
+        return self._like(dict(self.maps), storage=storage)
+
+    def stored_at(self, changes: Mapping[str, StoredAs | None]) -> Self:
+        """Return the same material with some maps to be stored smaller, or in another depth.
+
+        Maps keep their full size in memory and shade as before; `as_exported`, the bytes and the folder follow. None,
+        or a StoredAs that says nothing, stores a map as usual. The specular maps, a table that all texels share, are
+        resampled at once to the size that is asked for. Raises RangeError for unknown maps and impossible sizes.
+        """
+        stored = {name: one for name, one in {**self.stored, **changes}.items() if one is not None}
+        maps = dict(self.maps)
+        for name in ANY_SIZE:
+            size = stored[name].size if isinstance(stored.get(name), StoredAs) and name in maps else None
+            if size is not None:
+                maps[name] = resample(maps[name].detach(), size, tiles=False)
+                stored[name] = StoredAs(storage=stored[name].storage)
+        return self._like(maps, stored=stored)
+
+    def _storage_of(self, spec: MapSpec) -> str:
+        # Shared tables are few bytes and set the brightness of every texel, so they keep at least half precision.
+        default = "half" if not spec.per_texel and STORAGES[self.storage].levels == 255 else self.storage
+        return self._stored(spec).storage or spec.storage or default
+
+    def _stored(self, spec: MapSpec) -> StoredAs:
+        return self.stored.get(spec.name, StoredAs())
+
+    def _small(self, spec: MapSpec) -> Tensor:
+        """Return a map in the size that it is stored in."""
+        value = self.maps[spec.name].detach()
+        return shrunk(spec, value, self._stored(spec).size or value.shape[-2:], self.tiles)
+
+    def textures(self) -> list[tuple[MapSpec, str, Tensor, str]]:
+        """Return (map, texture name, values [C, h, w], storage) of every texture that export writes, in its size."""
+        found = []
+        for spec in self.specs():
+            if not self._is_numbers(spec):
+                parts = self._small(spec).split(spec.layer_channels)
+                storage = self._storage_of(spec)
+                found += [(spec, name, part, storage) for name, part in zip(spec.textures, parts, strict=True)]
+        return found
+
+    def numbers(self) -> list[tuple[MapSpec, Tensor]]:
+        """Return (map, values [C], float32) of every map that export writes into the manifest, as numbers."""
+        constants = [(spec, self.maps[spec.name].detach()) for spec in self.specs() if spec.constant]
+        small = [(spec, self._small(spec)[:, 0, 0]) for spec in self.specs() if self._stored(spec).numbers]
+        return [(spec, value.float()) for spec, value in (*constants, *small)]
+
+    def as_exported(self) -> Self:
+        """Return the material, in float32, as its textures would bring it back, without writing files.
+
+        Raises RangeError when a map cannot be stored without leaving its range.
+        """
+        parts: dict[str, tuple[MapSpec, list[Tensor]]] = {}
+        for spec, _, value, storage in self.textures():
+            parts.setdefault(spec.name, (spec, []))[1].append(decode(encode(spec, value, storage)))
+        maps = {
+            spec.name: value if spec.constant else value[:, None, None].expand(-1, *self.size).contiguous()
+            for spec, value in self.numbers()
+        }
+        for spec, pieces in parts.values():
+            size = self.size if spec.per_texel else self.maps[spec.name].shape[-2:]
+            maps[spec.name] = restored(spec, pieces, size, self.tiles)
+        return self.with_maps(**maps)
+
+    def bytes_of(self, spec: MapSpec) -> int:
+        """Return the bytes that one map takes as stored: found from its size alone, numbers are 4 each."""
+        if self._is_numbers(spec):
+            return 4 * spec.channels
+        width = (1 if spec.high <= 255 else 2) if spec.index else STORAGES[self._storage_of(spec)].bytes
+        return width * spec.channels * math.prod(self._stored(spec).size or self.maps[spec.name].shape[-2:])
+
+    def _is_numbers(self, spec: MapSpec) -> bool:
+        return spec.constant or self._stored(spec).numbers
+
+    @property
+    def bytes_per_texel(self) -> float:
+        """Bytes of texture a texel takes as stored, before any file compression; shared tables stand beside it."""
+        textures = [spec for spec in self.specs() if spec.per_texel and not self._is_numbers(spec)]
+        return sum(map(self.bytes_of, textures)) / math.prod(self.size)
+
+    @property
+    def shared_bytes(self) -> int:
+        """Bytes of the tables that all texels share, and of all numbers."""
+        return sum(self.bytes_of(spec) for spec in self.specs() if not spec.per_texel or self._is_numbers(spec))

@@ -1,0 +1,167 @@
+"""One row of a comparison: a model fitted several times on one split, with what it costs and how true it is."""
+
+from __future__ import annotations
+
+import statistics
+from dataclasses import dataclass, field
+from typing import Any
+
+import torch
+
+from torchmat.btf import Btf
+from torchmat.errors import FitError, RangeError, check_option, message
+from torchmat.fit import FitResult, fit
+from torchmat.fit.config import parse_value
+from torchmat.fit.evaluate import evaluate, evaluate_parts
+from torchmat.fit.on_relief import GEOMETRIES
+from torchmat.fit.registry import AUTO, resolve_options
+from torchmat.machine import MemoryMark
+from torchmat.report.tables import COMPARE_COLUMNS
+
+_AT_ONCE = ("closed_form", "lm", "varpro")  # solvers whose error does not fall bit by bit
+_COSTS = {"total_bytes_per_texel": "bytes", "fit_seconds": "seconds", "shade_mtexels_per_s": "shading"}
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One row that is asked for: `text` as it was given, the model, its options, and "flat" or "recover"."""
+
+    text: str
+    model: str
+    options: dict[str, Any]
+    geometry: str
+
+    @property
+    def solver(self) -> str:
+        """How the model's numbers are found."""
+        return str(resolve_options(self.model, self.options)["solver"])
+
+    @property
+    def iterates(self) -> bool:
+        """Whether its error falls bit by bit, so that a curve says more than a point."""
+        return self.solver not in _AT_ONCE
+
+
+@dataclass(frozen=True)
+class Setting:
+    """What all rows share: the split, the `budget` of seconds of one fit, its repeats, and whether curves are drawn."""
+
+    split: dict[str, Any] = field(default_factory=dict)
+    budget: float | None = None
+    repeats: int = 1
+    curves: bool = True
+
+
+def parse_model(text: str) -> tuple[str, dict[str, Any]]:
+    """Split ``hsh:terms=9,storage=png8`` into the model's name and its options, both checked.
+
+    `geometry`, flat or recover, may stand among the options: ``lambert:geometry=recover``.
+    """
+    name, _, rest = text.partition(":")
+    options: dict[str, Any] = {}
+    for part in filter(None, rest.split(",")):
+        key, separator, value = part.partition("=")
+        if not separator:
+            raise RangeError(message("compare", repr(text), "be NAME:KEY=VALUE,...", f"{part!r} has no '='"))
+        options[key.strip()] = parse_value(value)
+    own = {key: value for key, value in options.items() if key != "geometry"}
+    resolve_options(name, own)
+    if name == AUTO:
+        step = 'Give models; fit(btf, "auto") chooses among them.'
+        raise RangeError(message("compare", "the models", "be models", f"{AUTO!r} is the choice among them", step))
+    if "geometry" in options:
+        check_option("compare", "geometry", options["geometry"], GEOMETRIES)
+    return name, options
+
+
+def entry_of(text: str, geometry: str) -> Entry:
+    """Return the row that a model's text asks for; `geometry` holds unless the text says otherwise."""
+    name, options = parse_model(text)
+    own = {key: value for key, value in options.items() if key != "geometry"}
+    return Entry(text, name, own, options.get("geometry", geometry))
+
+
+def make_row(btf: Btf, entry: Entry, setting: Setting) -> dict[str, Any]:
+    """Fit one model as often as is asked for and return its row; what the data cannot determine says so in `failed`."""
+    row: dict[str, Any] = dict.fromkeys(COMPARE_COLUMNS)
+    row |= {"model": entry.text, "solver": entry.solver, "geometry": entry.geometry, "curve": [], "report": None}
+    runs: list[tuple[FitResult, float | None]] = []
+    with_curve = entry.iterates and setting.curves
+    try:
+        for repeat in range(setting.repeats):
+            # The last run draws the curve; where there are others, the memory is theirs, free of measuring.
+            runs.append(_run(btf, entry, setting, with_curve and repeat == setting.repeats - 1))
+    except (FitError, RangeError) as error:  # too few lights for a relief are known only by the data
+        return row | {"failed": str(error)}
+    return row | _figures(btf, runs) | ({"curve": runs[-1][0].report["curve"]} if with_curve else {})
+
+
+def _run(btf: Btf, entry: Entry, setting: Setting, curve: bool) -> tuple[FitResult, float | None]:
+    mark = MemoryMark()
+    result = fit(
+        btf, entry.model, geometry=entry.geometry, seconds=setting.budget, curve=curve, measure=False, progress=False,
+        **setting.split, **entry.options,
+    )
+    return result, mark.taken_mb
+
+
+def _figures(btf: Btf, runs: list[tuple[FitResult, float | None]]) -> dict[str, Any]:
+    result, report = runs[-1][0], runs[-1][0].report
+    report = report | evaluate_parts(btf, result.material, result.split, False)[0]
+    seconds = [one.report["fit_seconds"] for one, _ in runs]
+    memory = [taken for _, taken in runs[: max(1, len(runs) - 1)] if taken is not None]
+    held_out, after = report["held_out"] or report["train"], report["held_out_after_export"] or {}
+    total = report["bytes_per_texel"] + report["shared_bytes"] / report["texels"]
+    geometry = report["figures"].get("geometry", {}).get("chosen", report["geometry"])
+    return {
+        **{name: report[name] for name in ("bytes_per_texel", "shared_bytes", "shade_mtexels_per_s", "stop_reason")},
+        "geometry": "flat (recover)" if (geometry, report["geometry"]) == ("flat", "recover") else geometry,
+        "total_bytes_per_texel": total, "fit_seconds": statistics.median(seconds),
+        "fit_seconds_spread": max(seconds) - min(seconds) if len(runs) > 1 else None,
+        "fit_memory_mb": max(memory) if memory else None,
+        "train_relative_error": report["train"]["relative_error"],
+        "relative_error": held_out["relative_error"], "psnr_db": held_out["psnr_db"],
+        "relative_error_after_export": after.get("relative_error"), "psnr_db_after_export": after.get("psnr_db"),
+        **_repeated(btf, [one for one, _ in runs], held_out["relative_error"]),
+        "repeats": seconds, "report": report,
+    }
+
+
+def _repeated(btf: Btf, results: list[FitResult], error: float | None) -> dict[str, Any]:
+    """Return whether all repeats gave the same bits, and if not, the errors of all."""
+    if len(results) == 1:
+        return {"same_bits": None}
+    last = results[-1].material.maps
+    alike = [all(torch.equal(value, last[name]) for name, value in one.material.maps.items()) for one in results]
+    if all(alike):
+        return {"same_bits": True}
+    split = results[-1].split
+    rows = split.held_out if len(split.held_out) else split.train
+    others = [evaluate(one.material, btf, rows, perceptual=False).report["relative_error"] for one in results[:-1]]
+    return {"same_bits": False, "relative_errors": [*others, error]}
+
+
+def judged(row: dict[str, Any]) -> float | None:
+    """Return the error that a row is compared by: held out, after export where it was measured."""
+    return row["relative_error"] if row["relative_error_after_export"] is None else row["relative_error_after_export"]
+
+
+def front(rows: list[dict[str, Any]], cost: str) -> list[int]:
+    """Return the rows, from cheap to dear, that no other row beats in `cost` and error alike; of equals the first."""
+    sign = -1 if cost == "shade_mtexels_per_s" else 1
+    known = [n for n, row in enumerate(rows) if judged(row) is not None and row[cost] is not None]
+    found, best = [], float("inf")
+    for number in sorted(known, key=lambda n: (sign * rows[n][cost], judged(rows[n]))):
+        if judged(rows[number]) < best:
+            best = judged(rows[number])
+            found.append(number)
+    return found
+
+
+def mark_fronts(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Return the rows, each saying in `front` in what it is on the Pareto front."""
+    fronts = {name: front(rows, cost) for cost, name in _COSTS.items()}
+    return [
+        {**row, "front": ", ".join(name for name, members in fronts.items() if number in members)}
+        for number, row in enumerate(rows)
+    ]
