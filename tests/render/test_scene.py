@@ -17,7 +17,7 @@ from torchmat.render import Camera, Directional, Point, render
 from torchmat.render.raw_btf import RawBtf
 from torchmat.render.scene_file import load_scene
 
-CONFIG = Path(__file__).parents[2] / "configs" / "scene_teapot.toml"
+CONFIG = Path(__file__).parents[2] / "configs" / "scenes" / "teapot.toml"
 LIGHTS = (Directional((0.3, 0.4, 0.9)), Point((1.0, 2.0, 3.0), (4.0, 2.0, 1.0)))
 
 

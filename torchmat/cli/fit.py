@@ -26,7 +26,7 @@ class Fit:
     work: Path | None = None
     """Fit tile by tile and keep finished tiles in this folder: a run that was stopped goes on there."""
     scene: list[Path] = field(default_factory=list)
-    """Scene files (configs/scene_teapot.toml): fit only what these pictures use."""
+    """Scene files (configs/scenes/teapot.toml): fit only what these pictures use."""
     no_pictures: bool = False
     """Write the material and report.json only."""
     read: Annotated[DataArguments, tyro.conf.arg(name="")] = field(default_factory=DataArguments)

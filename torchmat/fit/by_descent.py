@@ -6,6 +6,7 @@ The objective is that of the closed forms: squared linear error, weighted as the
 from __future__ import annotations
 
 import functools
+import math
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import Any
@@ -90,8 +91,10 @@ class Objective:
         light, view = (planes[rows].to(values.dtype) for planes in (self.training.light, self.training.view))
         gap = material.value(light, view) - values
         loss = (weight * gap.square()).sum() * share
-        loss.backward()
-        return float(loss.detach())
+        value = float(loss.detach())
+        if math.isfinite(value):  # look-ups in places that are none may end the process
+            loss.backward()
+        return value
 
     def _blocks(self) -> Iterator[tuple[Tensor, Tensor, Tensor]]:
         """Yield runs of training samples: their numbers, values and weights, as few as stay in the cache."""

@@ -253,8 +253,10 @@ class _Fit:
                 with torch.enable_grad():
                     gap = _shown(self._predict(raw, parts, surface, batch), self.darkest) - _shown(values, self.darkest)
                     loss = (gap.square() * valid).mean() * (len(batch) / len(every) / size)
-                    loss.backward()
                 total += float(loss.detach())
+                if not math.isfinite(total):  # look-ups in places that are none may end the process
+                    return total
+                loss.backward()
             return total
 
         parameters = [value.requires_grad_() for value in raw.values()]

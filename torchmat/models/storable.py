@@ -6,7 +6,6 @@ import math
 from collections.abc import Mapping
 from typing import Any, Self
 
-import torch
 from torch import Tensor, nn
 
 from torchmat.models.cutout import Cutout

@@ -39,7 +39,7 @@ def load_scene(path: str | Path) -> Scene:
         raise DataError(f"{path}: {error}") from error
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         fact = f"{type(error).__name__}: {error}"
-        step = "See configs/scene_teapot.toml for an example."
+        step = "See configs/scenes/teapot.toml for an example."
         raise DataError(message(str(path), "the scene", "describe a scene", fact, step)) from error
 
 
