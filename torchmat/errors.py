@@ -7,6 +7,7 @@ meets one knows which file or argument is meant and what to do about it.
 from __future__ import annotations
 
 import difflib
+import math
 from collections.abc import Iterable
 
 import torch
@@ -53,6 +54,12 @@ def check_option(where: str, name: str, value: object, choices: Iterable[object]
     hint = f"Did you mean {near[0]!r}?" if near else ""
     listed = ", ".join(repr(c) for c in choices)
     raise RangeError(message(where, name, f"be one of {listed}", f"it is {value!r}", hint))
+
+
+def check_positive(where: str, name: str, value: float, next_step: str = "") -> None:
+    """Raise RangeError unless `value` is above 0 and finite."""
+    if not 0 < value < math.inf:
+        raise RangeError(message(where, name, "be positive and finite", f"it is {value}", next_step))
 
 
 def check_known_keys(where: str, given: Iterable[str], known: Iterable[str]) -> None:

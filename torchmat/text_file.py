@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import tomllib
 from pathlib import Path
 from typing import Any
 
@@ -40,6 +41,15 @@ def read_text(path: str | Path, what: str = "the text") -> str:
         raise DataError(message(str(path), what, "be readable", str(error), "Check the path.")) from error
     check_size(str(path), len(data), what)
     return decode_text(str(path), data, what)
+
+
+def read_toml(path: str | Path, what: str) -> dict[str, Any]:
+    """Return the table of a TOML file; raises DataError, which names the file and says `what` it is."""
+    text = read_text(path, what)
+    try:
+        return tomllib.loads(text)
+    except (ValueError, RecursionError) as error:  # not TOML's own error alone: a number of 5,000 digits is another
+        raise DataError(message(str(path), what, "be TOML", str(error), "Correct that line.")) from error
 
 
 def read_json(path: str | Path, what: str, requirement: str) -> dict[str, Any]:

@@ -26,10 +26,7 @@ from torchmat.fit.training import make_training
 @pytest.fixture(autouse=True)
 def short_fits(monkeypatch):
     """Let the distribution material, which no test here is about unless it says so, take a tenth of a second."""
-    monkeypatch.setattr(climb, "_PILOT_EFFORT", 0.002)
-    monkeypatch.setattr(climb, "distribution_parts", list)
-    bare = climb.bare_distribution()
-    monkeypatch.setattr(climb, "bare_distribution", lambda: {**bare, "effort": 0.002, "specular_size": 8})
+    data.shorten_fits(monkeypatch)
 
 
 def choice_of(result):

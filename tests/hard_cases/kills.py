@@ -18,6 +18,7 @@ import time
 from pathlib import Path
 
 ENTRY = Path(__file__)
+_HANGS = 1200  # seconds
 EXAMPLE = ("shading_map", {"brdf": "phong", "azimuths": 1})
 _LONGEST = 1.15  # times a run that is left alone: some kills come too late
 
@@ -26,7 +27,7 @@ def run(count: int, seed: int, folder: Path) -> list[dict]:
     """Kill `count` runs of each kind of work in `folder`; return a row each: case, component, count, passed, note."""
     done = subprocess.run(
         [sys.executable, str(ENTRY), str(folder), str(count), str(seed)], capture_output=True, text=True,
-        env={**os.environ, "OMP_NUM_THREADS": "1"},
+        env={**os.environ, "OMP_NUM_THREADS": "1"}, timeout=_HANGS,
     )
     if done.returncode:
         raise AssertionError(f"the engine of kills failed:\n{done.stderr[-4000:]}")

@@ -16,6 +16,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 ENTRY = Path(__file__)
+_HANGS = 1200  # seconds
 _PARTS = 10  # of a run; the first is for warming up
 # Pages that the allocator keeps for the next time differ from run to run; a fit that kept its maps would grow by more.
 MOST_GROWTH_MB = 16.0
@@ -26,7 +27,7 @@ def run(count: int, seed: int = 0) -> list[dict]:
     """Return a row for each component: case, component, count, passed, figure (MB grown), note."""
     done = subprocess.run(
         [sys.executable, str(ENTRY), str(count), str(seed)], capture_output=True, text=True,
-        env={**os.environ, "OMP_NUM_THREADS": "1"},
+        env={**os.environ, "OMP_NUM_THREADS": "1"}, timeout=_HANGS,
     )
     if done.returncode:
         raise AssertionError(f"the engine of long runs failed:\n{done.stderr[-4000:]}")

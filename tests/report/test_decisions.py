@@ -7,12 +7,12 @@ import json
 import numpy as np
 import pytest
 import torch
+from fit.auto_data import shorten_fits
 from support import all_pairs, hemisphere
 
 import torchmat as tm
 from torchmat import Btf
 from torchmat.cli import main
-from torchmat.fit import climb
 from torchmat.images import read_image, write_image
 from torchmat.models import Lptm
 from torchmat.models.storage import StoredAs
@@ -31,10 +31,7 @@ def images(size=8):
 
 @pytest.fixture(autouse=True)
 def short_fits(monkeypatch):
-    monkeypatch.setattr(climb, "_PILOT_EFFORT", 0.002)
-    monkeypatch.setattr(climb, "distribution_parts", list)
-    bare = climb.bare_distribution()
-    monkeypatch.setattr(climb, "bare_distribution", lambda: {**bare, "effort": 0.002, "specular_size": 8})
+    shorten_fits(monkeypatch)
 
 
 @pytest.fixture(scope="module")

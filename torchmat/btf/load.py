@@ -20,7 +20,7 @@ from torchmat.btf.pixels import PixelOptions
 from torchmat.btf.readers import read_listing
 from torchmat.btf.source import open_source
 from torchmat.btf.store import PixelStore
-from torchmat.errors import RangeError, check_option, message
+from torchmat.errors import RangeError, check_option, check_positive, message
 
 _KIND_OF_TABLE = {".csv": "manifest", ".lp": "rti"}
 
@@ -60,9 +60,7 @@ def load_btf(
     check_option("load_btf", "encoding", encoding, ENCODINGS)
     check_option("load_btf", "invalid", invalid, ("error", "mask"))
     check_option("load_btf", "duplicates", duplicates, ("error", "keep"))
-    if not 0 < exposure < float("inf"):
-        step = "It divides all values; 1 leaves them."
-        raise RangeError(message("load_btf", "exposure", "be positive and finite", f"it is {exposure}", step))
+    check_positive("load_btf", "exposure", exposure, "It divides all values; 1 leaves them.")
     path = Path(path)
     table = _KIND_OF_TABLE.get(path.suffix.lower())
     if table is not None and os.path.isfile(path):

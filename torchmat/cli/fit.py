@@ -34,17 +34,15 @@ class Fit:
     def run(self) -> None:
         from torchmat.fit import fit, load_config
         from torchmat.fit.auto import NOT_MET
-        from torchmat.fit.on_relief import GEOMETRIES
-        from torchmat.fit.registry import AUTO
         from torchmat.material_io import check_target, load_height
         from torchmat.render.scene_file import load_scene
         from torchmat.report import write_fit
         from torchmat.report.decisions import outcome_text
-        from torchmat.report.tables import error_table, scene_table, summary_table
+        from torchmat.report.tables import fit_tables
 
         check_target(self.out)  # before the work, not after it
         config = load_config(self.config, self.set)
-        height = None if config.geometry in (*GEOMETRIES, AUTO) else load_height(config.geometry)
+        height = None if config.height_path is None else load_height(config.height_path)
         scenes = [load_scene(path) for path in self.scene]
         btf = self.read.load(self.data, config.data)
         result = fit(btf, config, geometry=height, work=self.work, scene=scenes or None)
@@ -53,13 +51,8 @@ class Fit:
         if choice:
             print(outcome_text(choice).upper() if result.stop_reason == NOT_MET else outcome_text(choice))
             print()
-        print(summary_table(result.report))
+        print(fit_tables(result.report))
         print()
-        print(error_table(result.report))
-        print()
-        if scenes:
-            print(scene_table(result.report))
-            print()
         print(f"material   {folder}")
         if choice:
             print(f"decisions  {folder / 'decisions.txt'}")

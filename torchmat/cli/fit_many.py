@@ -73,7 +73,7 @@ class FitMany:
         from torchmat.many import fit_by_tiles
         from torchmat.material_io import check_target
         from torchmat.report import write_fit
-        from torchmat.report.tables import error_table, summary_table
+        from torchmat.report.tables import fit_tables
 
         if len(jobs) != 1:
             step = "Leave --tiles out to share out whole materials."
@@ -82,8 +82,6 @@ class FitMany:
         check_target(job.out)
         btf, result = fit_by_tiles(job, workers=self.workers, scheduler=self.scheduler, work=self.work)
         folder = write_fit(btf, result, job.out, pictures=not self.no_pictures)
-        print(summary_table(result.report))
-        print()
-        print(error_table(result.report))
+        print(fit_tables(result.report))
         print()
         print(f"material   {folder}")

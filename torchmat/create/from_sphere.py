@@ -9,7 +9,7 @@ import torch
 import torch.nn.functional as functional
 from torch import Tensor
 
-from torchmat.errors import RangeError, ShapeError, check_finite, message
+from torchmat.errors import RangeError, ShapeError, check_finite, check_positive, message
 from torchmat.models.sphere_geometry import sphere_normals
 from torchmat.models.sphere_images import SphereImages, checked_angles, paper_turn
 
@@ -83,8 +83,7 @@ def _checked(
             requirement = f"be {len(photographs)} finite numbers, one for each photograph"
             raise RangeError(message(_WHERE, name, requirement, f"they are {values}"))
     for name, value in (("exposure", exposure), ("radius", radius), ("size", size)):
-        if not 0 < value < math.inf:
-            raise RangeError(message(_WHERE, name, "be positive and finite", f"it is {value}"))
+        check_positive(_WHERE, name, value)
     rows, columns = photographs.shape[-2:]
     x, y = centre
     if not (radius <= x <= columns - radius and radius <= y <= rows - radius):

@@ -14,7 +14,7 @@ from collections.abc import Callable, Sequence
 import torch
 from torch import Tensor
 
-from torchmat.errors import RangeError, check_known_keys, check_option, message
+from torchmat.errors import RangeError, check_known_keys, check_option, check_positive, message
 from torchmat.models.distribution import TILT_SAMPLES, default_tilt
 
 WHITE = (1.0, 1.0, 1.0)
@@ -57,8 +57,7 @@ def anisotropic(
 
     The rotation map turns it texel by texel, which is how brushed and woven surfaces are made.
     """
-    if not 0 < ratio < math.inf:
-        raise RangeError(message("specular map", "ratio", "be positive and finite", f"it is {ratio}", "1 is round."))
+    check_positive("specular map", "ratio", ratio, "1 is round.")
     polar, azimuth = disc(size)
     along, across = polar * torch.cos(azimuth) / ratio, polar * torch.sin(azimuth)
     return _tinted(_bell(torch.hypot(along, across), width), strength, colour)

@@ -103,15 +103,11 @@ class Objective:
             rows = torch.arange(block.samples.start, block.samples.stop)
             for part in training.used[rows].nonzero()[:, 0].split(self.run):
                 weight = torch.ones(1, 1, 1, 1, dtype=training.dtype) if block.weight is None else block.weight[part]
-                yield rows[part], block.images[part], self._counted(rows[part], weight)
+                yield rows[part], block.images[part], training.counted(weight.to(training.dtype), rows[part])
 
     def _read(self, rows: Tensor) -> tuple[Tensor, Tensor]:
         btf, dtype = self.training.btf, self.training.dtype
-        return btf.images(rows, dtype), self._counted(rows, btf.weights(rows))
-
-    def _counted(self, rows: Tensor, weight: Tensor) -> Tensor:
-        weight, importance = weight.to(self.training.dtype), self.training.importance
-        return weight if importance is None else weight * importance[rows, None, None, None].to(weight.dtype)
+        return btf.images(rows, dtype), self.training.counted(btf.weights(rows).to(dtype), rows)
 
 
 def _adam(training: Training, unknowns: Unbounded, rate: float, **settings: Any) -> Descent:

@@ -10,10 +10,11 @@ from pathlib import Path
 from typing import Any
 
 from torchmat.btf.split import HOLDOUT_WAYS
-from torchmat.errors import DataError, RangeError, check_known_keys, check_option, message
+from torchmat.errors import RangeError, check_known_keys, check_option, message
+from torchmat.fit.on_relief import GEOMETRIES
 from torchmat.fit.registry import AUTO, resolve_options
 from torchmat.fit.target import make_target
-from torchmat.text_file import read_text
+from torchmat.text_file import read_toml
 
 _DATA_KEYS = (
     "kind", "encoding", "exposure", "crop", "downscale", "lights", "views", "invalid", "duplicates", "normalise",
@@ -63,6 +64,11 @@ class FitConfig:
             step = "It is the share that is held out; 0.2 is usual."
             raise RangeError(message("config", "holdout", "lie in [0, 1)", f"it is {self.holdout}", step))
 
+    @property
+    def height_path(self) -> str | None:
+        """The path of the height map that `geometry` names; None where it names a way."""
+        return None if self.geometry in (*GEOMETRIES, AUTO) else self.geometry
+
 
 def _typed(where: str, table: dict[str, Any]) -> dict[str, Any]:
     kinds = {
@@ -87,11 +93,7 @@ def load_config(path: str | Path, overrides: list[str] | None = None) -> FitConf
 
     A value that is not TOML counts as a plain string. Raises DataError or RangeError, naming the file or the key.
     """
-    text = read_text(path, "the config")
-    try:
-        table = tomllib.loads(text)
-    except (ValueError, RecursionError) as error:  # not TOML's own error alone: a number of 5,000 digits is another
-        raise DataError(message(str(path), "the config", "be TOML", str(error), "Correct that line.")) from error
+    table = read_toml(path, "the config")
     for text in overrides or []:
         _override(table, text)
     return make_config(table, str(path))

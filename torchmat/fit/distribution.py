@@ -36,12 +36,12 @@ _RATE = 0.06
 _RATES = {"slopes": 0.3, "specular": 2.0, "index": 2.0}
 _ROUNDS = (600, 500, 900)  # steps before, between and after the moves of the height
 _FEWER = {"adam": 4, "lbfgs": 10}  # steps on all samples at once do so many times as much
-_SWEEPS, _SWEPT = 0, 256  # passes of the multiplicative start, and samples of each
+# Passes of the multiplicative start, and samples of each. None: on noise and on few texels it ended worse.
+_SWEEPS, _SWEPT = 0, 256
 _PILOT = 300
 _GAIN_DB = 0.08  # what one more part must bring in a pilot run
 _MOST_LOBES = 3
 _PILOTS_SHARE = 0.08  # of a limit of seconds, for each pilot
-_LEAST_GRADIENT = 1e-8 * 4096  # of a texel; the loss is a mean, so all gradients shrink with the number of texels
 
 
 def fit_distribution(

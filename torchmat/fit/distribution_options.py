@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
-from torchmat.errors import RangeError, check_option, message
+from torchmat.errors import RangeError, check_option, check_positive, message
 from torchmat.models.storage import STORAGES
 
 DISTRIBUTION_SOLVERS = ("minibatch", "adam", "lbfgs")
@@ -45,5 +44,4 @@ class DistributionOptions:
             raise RangeError(message(_WHERE, asked[0], "be left out without specular maps", f"it is {getattr(self, asked[0])!r}", step))
         if not 4 <= self.specular_size <= 1024:
             raise RangeError(message(_WHERE, "specular_size", "lie in 4 to 1024", f"it is {self.specular_size}"))
-        if not 0 < self.effort < math.inf:
-            raise RangeError(message(_WHERE, "effort", "be positive and finite", f"it is {self.effort}"))
+        check_positive(_WHERE, "effort", self.effort)

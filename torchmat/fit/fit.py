@@ -113,28 +113,31 @@ def fit(
         fitted = _fitted(training, config, chosen, config.geometry if given_height is None else given_height, use, work)
         watch.note(lambda: fitted.material)
     seconds = watch.seconds
-    covered = btf if fitted.window is None else btf.window(*fitted.window)
-    report, held_out = evaluate_parts(covered, fitted.material, split, progress) if measure else (dict.fromkeys(PARTS), None)
-    report = {
-        "model": fitted.material.name, "options": _options_used(chosen, fitted), "samples": len(btf), "texels": btf.height * btf.width,
-        "seed": config.seed, "holdout": config.holdout, "holdout_by": config.holdout_by,
-        "geometry": config.geometry if given_height is None else "given", "tiles": config.tiles,
-        "bytes_per_texel": fitted.material.bytes_per_texel, "shared_bytes": fitted.material.shared_bytes,
-        "fit_seconds": seconds, "load_seconds": btf.source.load_seconds,
-        "shade_mtexels_per_s": shading_rate(fitted.material), "peak_rss_mb": peak_memory_mb(),
-        "stop_reason": fitted.stop_reason, "target": config.target, **report, "coverage": _coverage(fitted.coverage),
-        **_source(btf), "figures": fitted.figures, "curve": watch.history, "versions": versions(),
-    }
+    errors, held_out = evaluate_parts(btf, fitted.material, split, progress) if measure else (dict.fromkeys(PARTS), None)
+    ways = {"options": _options_used(chosen, fitted), "geometry": config.geometry if given_height is None else "given"}
+    report = {**_described(btf, config, fitted), **ways, "fit_seconds": seconds, **errors, "curve": watch.history}
     if use is not None:
         figures = scene_figures(btf, fitted.material, split, use, config.tiles, measure, progress)
         report["scene"] = {**fitted.figures["scene"], **figures}
-    errors = held_out.per_sample if held_out else None
     if work is not None:
         clear_work(work)
     return FitResult(
-        fitted.material, fitted.stop_reason, report, split, fitted.coverage, errors, fitted.relief,
-        watch.history or fitted.history,
+        fitted.material, fitted.stop_reason, report, split, fitted.coverage, held_out.per_sample if held_out else None,
+        fitted.relief, watch.history or fitted.history,
     )
+
+
+def _described(btf: Btf, config: FitConfig, fitted: Fitted) -> dict[str, Any]:
+    """Return what a report says of the data, the config and the material."""
+    material = fitted.material
+    return {
+        "model": material.name, "samples": len(btf), "texels": btf.height * btf.width, "seed": config.seed,
+        "holdout": config.holdout, "holdout_by": config.holdout_by, "tiles": config.tiles, "target": config.target,
+        "bytes_per_texel": material.bytes_per_texel, "shared_bytes": material.shared_bytes,
+        "load_seconds": btf.source.load_seconds, "shade_mtexels_per_s": shading_rate(material),
+        "peak_rss_mb": peak_memory_mb(), "stop_reason": fitted.stop_reason, "coverage": _coverage(fitted.coverage),
+        **_source(btf), "figures": fitted.figures, "versions": versions(),
+    }
 
 
 def _fitted(

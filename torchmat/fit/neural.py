@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
-from torchmat.errors import RangeError, check_option, message
+from torchmat.errors import check_option, check_positive
 from torchmat.fit.solvers import minibatch
 from torchmat.fit.training import Fitted, Training
 from torchmat.models.neural import Neural, angles, check_count, root_of_value, widths
@@ -57,8 +57,7 @@ def fit_neural(
     check_option(where, "storage", storage, STORAGES)
     for name, count in (("latent", latent), ("hidden", hidden), ("layers", layers)):
         check_count(where, name, count)
-    if not 0 < effort < math.inf:
-        raise RangeError(message(where, "effort", "be positive and finite", f"it is {effort}"))
+    check_positive(where, "effort", effort)
     return _Fit(training, latent, hidden, layers, effort, storage).run()
 
 
@@ -142,14 +141,12 @@ class _Fit:
         return torch.cat([torch.randperm(count, generator=generator) for _ in range(_PASSES * len(self.groups))])
 
     def _decode(self, rows: Tensor) -> _Pool:
-        btf, dtype, importance = self.training.btf, self.training.dtype, self.training.importance
+        btf, dtype = self.training.btf, self.training.dtype
         root = torch.empty(len(rows), 3, len(self.order), dtype=dtype)
         weight = torch.empty(len(rows), 1, len(self.order), dtype=dtype)
         for part in torch.arange(len(rows)).split(max(1, _BLOCK_VALUES // (3 * len(self.order)))):
             sample = self.rows[rows[part]]
-            weight[part] = btf.weights(sample).flatten(2)[:, :, self.order].to(dtype)
-            if importance is not None:
-                weight[part] *= importance[sample].to(dtype)[:, None, None]
+            weight[part] = self.training.counted(btf.weights(sample).flatten(2)[:, :, self.order].to(dtype), sample)
             value = btf.images(sample, dtype).flatten(2)[:, :, self.order].clamp(min=0) / self.level
             root[part] = torch.where(weight[part] > 0, value.sqrt(), 0.0)
         return _Pool(rows, root, weight)

@@ -16,7 +16,7 @@ import torch
 from torch import Tensor
 
 from torchmat.btf import Btf, Split, split_samples
-from torchmat.errors import RangeError, ShapeError, check_option, message
+from torchmat.errors import RangeError, ShapeError, check_option, check_positive, message
 from torchmat.fit.distribution import _RATE, _ROUNDS, _Fit
 from torchmat.fit.distribution_maps import Parts, maps_of
 from torchmat.fit.distribution_options import DistributionOptions
@@ -87,8 +87,7 @@ def _check(btf: Btf, material: Material, keep: Sequence[str], effort: float) -> 
     if not isinstance(material, Distribution):
         step = "Fit the BTF again; only the distribution material can be refitted in parts."
         raise RangeError(message("refit", "material", "be a distribution material", f"it is {material.name}", step))
-    if not 0 < effort < math.inf:
-        raise RangeError(message("refit", "effort", "be positive and finite", f"it is {effort}"))
+    check_positive("refit", "effort", effort)
     if isinstance(keep, str):
         raise RangeError(message("refit", "keep", "be a list of names", f"it is {keep!r}", f"Give ({keep!r},)."))
     names = [spec.name for spec in material.specs()]

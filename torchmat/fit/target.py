@@ -38,11 +38,6 @@ class Target:
             step = "Give the one that matters; the report holds both."
             raise RangeError(message("fit", "error and psnr", "not be wanted together", fact, step))
 
-    @property
-    def asks_for_error(self) -> bool:
-        """Whether an error is wanted, and not only a budget kept."""
-        return self.error is not None or self.psnr is not None
-
 
 def make_target(where: str, table: Mapping[str, Any]) -> Target:
     """Return the Target of a table; unknown keys are errors that suggest the nearest one."""

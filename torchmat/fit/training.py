@@ -37,11 +37,12 @@ class Training:
     watch: Watch = field(default_factory=Watch)
     shared: Mapping[str, Any] = field(default_factory=dict)
 
-    def counted(self, weight: Tensor, samples: range) -> Tensor:
-        """Return weights [k, ...] of a run of samples times what each sample counts."""
+    def counted(self, weight: Tensor, samples: range | Tensor) -> Tensor:
+        """Return weights [k, ...] of samples, a run or their numbers, times what each sample counts."""
         if self.importance is None:
             return weight
-        some = self.importance[samples.start : samples.stop].to(weight.dtype)
+        rows = slice(samples.start, samples.stop) if isinstance(samples, range) else samples
+        some = self.importance[rows].to(weight.dtype)
         return weight * some.reshape(-1, *[1] * (weight.ndim - 1))
 
     def drawn(self, rows: Tensor, generator: torch.Generator) -> Tensor:
@@ -79,9 +80,9 @@ class Fitted:
     """A material, why the solver stopped, the share of its unknowns each texel's samples determine, and figures.
 
     `coverage` [1, H, W] or None where it has no meaning; `figures` go into the report under the model's own keys;
-    `relief` is the geometry that was recovered and used; `window` (top, left, height, width) the texels that the material
-    covers, None for all; `history` lists (seconds, error) of a solver in its own terms; `shared` is what all texels have
-    in common, as tensors or numbers: a fit of other texels takes it as `Training.shared`.
+    `relief` is the geometry that was recovered and used; `history` lists (seconds, error) of a solver in its own terms;
+    `shared` is what all texels have in common, as tensors or numbers: a fit of other texels takes it as
+    `Training.shared`.
     """
 
     material: Material
@@ -89,6 +90,5 @@ class Fitted:
     coverage: Tensor | None = None
     figures: dict[str, Any] = field(default_factory=dict)
     relief: Relief | None = None
-    window: tuple[int, int, int, int] | None = None
     history: list[tuple[float, float]] = field(default_factory=list)
     shared: dict[str, Any] = field(default_factory=dict)

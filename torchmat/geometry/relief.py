@@ -17,7 +17,7 @@ import torch.nn.functional as functional
 from torch import Tensor
 
 from torchmat import safe
-from torchmat.errors import RangeError, ShapeError, message
+from torchmat.errors import ShapeError, check_positive, message
 from torchmat.geometry.normals import check_height, pad_border
 
 _STEPS_PER_TEXEL = 1.0
@@ -226,8 +226,7 @@ def soft_shadow(
     everything by a slope of `softness` / 2, none where it is blocked by as much, linear between. A light at or below
     the horizon gives 0.
     """
-    if not 0 < softness < math.inf:
-        raise RangeError(message("soft_shadow", "softness", "be positive and finite", f"it is {softness}"))
+    check_positive("soft_shadow", "softness", softness)
     free = clearance(height, light, uv, tiles)
     lit = (free / softness + 0.5).clamp(0, 1)
     return torch.where(light[..., 2:, :, :] > 0, lit, torch.zeros_like(lit))

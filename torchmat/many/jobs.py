@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -11,8 +10,8 @@ from typing import Any
 
 from torchmat.errors import DataError, RangeError, check_known_keys, message
 from torchmat.fit import FitConfig, load_config
-from torchmat.fit.on_relief import GEOMETRIES
 from torchmat.fit.registry import AUTO, resolve_options
+from torchmat.text_file import read_toml
 
 _KEYS = ("data", "config", "out", "set")
 
@@ -42,7 +41,7 @@ class Job:
             return None
         config = self.config
         wanted = {name: getattr(config, name) for name in ("seed", "holdout", "holdout_by", "tiles", "target")}
-        wanted["geometry"] = config.geometry if config.geometry in (*GEOMETRIES, AUTO) else "given"
+        wanted["geometry"] = config.geometry if config.height_path is None else "given"
         chosen = bool(report.get("figures", {}).get("auto"))
         if config.model != AUTO:
             wanted |= {"model": config.model, "options": resolve_options(config.model, config.options)}
@@ -66,12 +65,7 @@ def load_jobs(path: str | Path, out: str | Path, read: Mapping[str, Any] | None 
     lists what overrides the config, such as ``"seed=3"``. Raises DataError or RangeError, naming the file or the job.
     """
     path = Path(path)
-    try:
-        table = tomllib.loads(path.read_text(encoding="utf-8-sig"))
-    except OSError as error:
-        raise DataError(message(str(path), "the list of jobs", "be readable", str(error), "Check the path.")) from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise DataError(message(str(path), "the list of jobs", "be TOML", str(error), "Correct that line.")) from error
+    table = read_toml(path, "the list of jobs")
     check_known_keys(str(path), table, ("job",))
     rows = table.get("job", [])
     if not isinstance(rows, list) or not all(isinstance(row, dict) for row in rows):

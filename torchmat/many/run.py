@@ -70,15 +70,13 @@ def fit_one(job: Job, pictures: bool = False) -> dict[str, Any]:
     """Fit one job in this process and write its result; return its row."""
     from torchmat.btf import load_btf
     from torchmat.fit import fit
-    from torchmat.fit.on_relief import GEOMETRIES
-    from torchmat.fit.registry import AUTO
     from torchmat.material_io import check_target, load_height
     from torchmat.report import write_fit
 
     start = time.perf_counter()
     try:
         check_target(job.out)
-        height = None if job.config.geometry in (*GEOMETRIES, AUTO) else load_height(job.config.geometry)
+        height = None if job.config.height_path is None else load_height(job.config.height_path)
         btf = load_btf(job.data, **job.reading, progress=False)
         result = fit(btf, job.config, geometry=height, progress=False)
         write_fit(btf, result, job.out, pictures=pictures)

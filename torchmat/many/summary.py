@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from pathlib import Path
 from typing import Any
 
 from torchmat import atomic
 from torchmat.report.html import comparison_page
-from torchmat.report.tables import text_table, to_json
+from torchmat.report.tables import text_table, to_json, write_csv
 
 SUMMARY_MEANINGS = {
     "data": "Where the images are.",
@@ -50,12 +48,9 @@ def write_summary(rows: list[dict[str, Any]], folder: str | Path) -> Path:
     target = Path(folder)
     check_target(target)
     cells = [[row[name] for name in SUMMARY_COLUMNS] for row in rows]
-    stream = io.StringIO(newline="")
-    writer = csv.writer(stream)
-    writer.writerows([SUMMARY_COLUMNS, *cells])
     with atomic.building(target) as building:
         (building / "summary.json").write_text(to_json(rows), encoding="utf-8")
-        (building / "summary.csv").write_text(stream.getvalue(), encoding="utf-8", newline="")
+        write_csv(rows, building / "summary.csv", SUMMARY_COLUMNS)
         page = comparison_page("Many materials", SUMMARY_COLUMNS, cells, [], SUMMARY_MEANINGS)
         (building / "summary.html").write_text(page, encoding="utf-8")
     return target

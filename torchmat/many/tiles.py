@@ -69,11 +69,10 @@ def fit_by_tiles(
     What the tiles share is found here, each tile on a worker, which reads the data by its path. Finished tiles are kept
     in `work`, as `fit` keeps them. A worker that dies is replaced and its tile fitted again.
     """
-    from torchmat.fit.on_relief import GEOMETRIES
     from torchmat.material_io import load_height
 
     config = job.config if job.config.tile or job.config.memory_mb else replace(job.config, tile=USUAL_SIDE)
-    height = None if config.geometry in GEOMETRIES else load_height(config.geometry)
+    height = None if config.height_path is None else load_height(config.height_path)
     btf = load_btf(job.data, **job.reading, progress=show)
     with cluster(workers, scheduler) as client, tiles_fitted_by(_runner(client, job)):
         return btf, fit(btf, config, geometry=height, work=work, progress=show)

@@ -16,7 +16,7 @@ import torch.nn.functional as functional
 from torch import Tensor
 
 from torchmat import frames, safe
-from torchmat.errors import RangeError, ShapeError, check_option, message
+from torchmat.errors import RangeError, ShapeError, check_option, check_positive, message
 from torchmat.geometry import normals_from_slopes, slopes_from_height, slopes_from_normals
 from torchmat.models.base import Material, combine
 from torchmat.models.storage import MapSpec
@@ -49,9 +49,7 @@ class Distribution(Material):
     ) -> None:
         if not isinstance(lobes, int) or isinstance(lobes, bool) or not 0 <= lobes <= _MOST_LOBES:
             raise RangeError(message(self.name, "lobes", f"be a whole number from 0 to {_MOST_LOBES}", f"it is {lobes!r}"))
-        if not 0 < fresnel_exponent < math.inf:
-            fact = f"it is {fresnel_exponent}"
-            raise RangeError(message(self.name, "fresnel_exponent", "be positive and finite", fact, "5 is Schlick's."))
+        check_positive(self.name, "fresnel_exponent", fresnel_exponent, "5 is Schlick's.")
         check_option(self.name, "mask_channels", mask_channels, (1, 3))
         for part in parts:
             check_option(self.name, "parts", part, DISTRIBUTION_PARTS)

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from torchmat import colour
-from torchmat.errors import RangeError, ShapeError, check_finite, message
+from torchmat.errors import RangeError, ShapeError, check_finite, check_positive, message
 from torchmat.frames import from_polar
 from torchmat.images import write_frames
 
@@ -72,8 +72,7 @@ def write_animation(
     written to.
     """
     path = Path(path)
-    if not 0 < exposure < math.inf:
-        raise RangeError(message(str(path), "exposure", "be positive and finite", f"it is {exposure}"))
+    check_positive(str(path), "exposure", exposure)
     write_frames(path, _shown(str(path), pictures, exposure), seconds_per_frame, loop)
     return path
 

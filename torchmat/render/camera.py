@@ -10,7 +10,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torchmat.errors import RangeError, message
+from torchmat.errors import RangeError, check_positive, message
 from torchmat.render.lights import unit, vector
 
 _UP = (0.0, 1.0, 0.0)
@@ -84,8 +84,7 @@ class Camera:
         field_of_view: float | None = None, up: Sequence[float] = _UP,
     ) -> Camera:
         """Return a camera in `direction` from a sphere that just fills its picture; orthographic without a field of view."""
-        if not 0 < radius < math.inf:
-            raise RangeError(message("Camera.framing", "radius", "be positive and finite", f"it is {radius}"))
+        check_positive("Camera.framing", "radius", radius)
         middle, way = vector("Camera.framing", "centre", centre), unit("Camera.framing", "direction", direction)
         if field_of_view is None:
             far = middle + way * (4 * radius)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import tomllib
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +11,7 @@ from torchmat.render.camera import Camera
 from torchmat.render.lights import Directional, Light, Point
 from torchmat.render.scene import Scene
 from torchmat.render.shapes import SHAPES
+from torchmat.text_file import read_toml
 
 _KEYS = ("mesh", "lights", "camera", "view", "size", "repeat", "shadows", "rays", "edges_only")
 _CAMERA_KEYS = ("position", "target", "up", "field_of_view_deg", "width")
@@ -27,12 +27,7 @@ def load_scene(path: str | Path) -> Scene:
     naming the file, for what is missing, unknown or of another kind.
     """
     path = Path(path)
-    try:
-        table = tomllib.loads(path.read_text(encoding="utf-8-sig"))
-    except OSError as error:
-        raise DataError(message(str(path), "the scene", "be readable", str(error), "Check the path.")) from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise DataError(message(str(path), "the scene", "be TOML", str(error), "Correct that line.")) from error
+    table = read_toml(path, "the scene")
     try:
         return _scene(path, table)
     except TorchmatError as error:

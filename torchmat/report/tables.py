@@ -132,16 +132,22 @@ def scene_table(report: dict[str, Any]) -> str:
     return text_table(["the scene", ""], scene_rows(report))
 
 
+def fit_tables(report: dict[str, Any]) -> str:
+    """Return what a fit says on a terminal: its cost, its errors, and for a scene what that saves."""
+    tables = [summary_table(report), error_table(report)]
+    return "\n\n".join([*tables, scene_table(report)] if "scene" in report else tables)
+
+
 def comparison_table(rows: list[dict[str, Any]]) -> str:
     """Return the rows of a comparison as a table, the columns that fit on a terminal."""
     header = [_SHORT.get(column, column) for column in _ON_A_TERMINAL]
     return text_table(header, [[row[column] for column in _ON_A_TERMINAL] for row in rows])
 
 
-def write_csv(rows: list[dict[str, Any]], path: Path) -> None:
-    """Write the rows of a comparison as CSV."""
+def write_csv(rows: list[dict[str, Any]], path: Path, columns: Sequence[str] = COMPARE_COLUMNS) -> None:
+    """Write some columns of rows as CSV, by default those of a comparison."""
     stream = io.StringIO(newline="")
-    writer = csv.DictWriter(stream, COMPARE_COLUMNS, extrasaction="ignore")
+    writer = csv.DictWriter(stream, columns, extrasaction="ignore")
     writer.writeheader()
     writer.writerows(rows)
     path.write_text(stream.getvalue(), encoding="utf-8", newline="")

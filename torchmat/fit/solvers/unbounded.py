@@ -36,10 +36,6 @@ class Unbounded:
         """Return the maps that the parameters stand for now; gradients pass through."""
         return {name: way.map_of(value) for (name, way), value in zip(self._ways.items(), self.parameters, strict=True)}
 
-    def flat(self) -> Material:
-        """Return a flat material of these maps, which gradients pass through."""
-        return self.material.sharing({**self.material.maps, **self.maps()})
-
     def made(self) -> Material:
         """Return the material as it stands."""
         with torch.no_grad():
