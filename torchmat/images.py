@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import struct
 import zlib
 from collections.abc import Iterable, Iterator
@@ -21,6 +22,10 @@ if TYPE_CHECKING:
 IMAGE_SUFFIXES = frozenset({".jpg", ".jpeg", ".png", ".exr", ".tif", ".tiff", ".hdr", ".bmp", ".tga", ".ppm"})
 MOVING_SUFFIXES = frozenset({".png", ".apng", ".gif"})
 _WRITABLE = {"uint8": "uint8", "uint16": "uint16", "float16": "half", "float32": "float"}
+
+# They would hold the time of writing: the same maps give the same bytes.
+_DATED, _NO_DATE = (".exr", ".tif", ".tiff"), "0000:00:00 00:00:00"
+_JPEG_SHARE, _JPEG_HEAD = 2, 4096  # of the pixels' bytes, and beside them: what a JPEG never exceeds
 
 _PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 # Asks for endless repetition, and a comment of the same length to stand in its place.
@@ -112,6 +117,8 @@ def write_image(path: str | Path, pixels: np.ndarray, channel_names: tuple[str, 
     spec = oiio.ImageSpec(width, height, channels, _WRITABLE[pixels.dtype.name])
     if channel_names:
         spec.channelnames = channel_names
+    if Path(path).suffix.lower() in _DATED:
+        spec.attribute("DateTime", _NO_DATE)
     if Path(path).suffix.lower() == ".exr":
         spec.attribute("compression", "zip")
     else:
@@ -123,6 +130,7 @@ def write_image(path: str | Path, pixels: np.ndarray, channel_names: tuple[str, 
         step = "Use .exr for float, .png for 8 or 16 bits."
         fact = oiio.geterror().rstrip(".")
         raise DataError(message(str(path), "the suffix", "name a writable image format", fact, step))
+    _check_space(path, pixels)
     opened = target.open(str(path), spec)
     if opened:
         _refuse_conversion(path, spec, target)
@@ -130,6 +138,34 @@ def write_image(path: str | Path, pixels: np.ndarray, channel_names: tuple[str, 
     closed = target.close()
     if not (written and closed):
         raise _unwritable(path, target.geterror() or oiio.geterror())
+    _check_whole(path)
+
+
+def _check_space(path: str | Path, pixels: np.ndarray) -> None:
+    """Raise DataError before a JPEG when the disk may not hold it: libjpeg ends the whole process where it is full."""
+    folder = Path(path).parent
+    if Path(path).suffix.lower() in (".jpg", ".jpeg") and folder.is_dir():
+        free, most = shutil.disk_usage(folder).free, _JPEG_SHARE * pixels.nbytes + _JPEG_HEAD
+        if free < most:
+            raise _unwritable(path, f"{free} bytes are free, and it may take {most}")
+
+
+def _check_whole(path: str | Path) -> None:
+    """Raise DataError, and leave no file, unless the image can be read to its end.
+
+    OpenImageIO says nothing when the disk is full: of a PNG, or of the last bytes of other formats.
+    """
+    import OpenImageIO as oiio
+
+    source = oiio.ImageInput.open(str(path), _as_stored())
+    reason = "" if source is not None else _reason(oiio)
+    if source is not None:
+        pixels = source.read_image(oiio.UNKNOWN)
+        reason = _reason(source) if source.has_error or pixels is None else ""
+        source.close()
+    if reason:
+        Path(path).unlink(missing_ok=True)
+        raise _unwritable(path, f"it cannot be read back, as on a full disk: {reason}")
 
 
 def _refuse_conversion(path: str | Path, wanted: ImageSpec, target: ImageOutput) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -17,7 +18,7 @@ from torchmat.btf.decode import Decoder
 @contextmanager
 def large_btf(size: int, lights: int, views: int) -> Iterator[Path]:
     """Yield a folder with the raw codes of a generated 8-bit BTF: bumpy Lambert and a lobe, sRGB-encoded."""
-    with tempfile.TemporaryDirectory() as folder:
+    with tempfile.TemporaryDirectory(dir=_memory(3 * size * size * lights * views)) as folder:
         path = Path(folder) / "pixels.raw"
         light, view = _directions(lights), _directions(views)
         light, view = np.tile(light, (views, 1)), np.repeat(view, lights, axis=0)
@@ -38,6 +39,12 @@ def large_btf(size: int, lights: int, views: int) -> Iterator[Path]:
         pixels.flush()
         del pixels
         yield Path(folder)
+
+
+def _memory(size: int) -> str | None:
+    """Return a folder that is held in memory and has room for `size` bytes: what the disk does is not measured here."""
+    place = Path("/dev/shm")
+    return str(place) if place.is_dir() and shutil.disk_usage(place).free > 4 * size else None
 
 
 def _directions(count: int) -> np.ndarray:

@@ -8,6 +8,7 @@ from typing import Any
 
 import auto
 import compare
+import compiled
 import objects
 import reliefs
 import scale
@@ -206,7 +207,7 @@ def large() -> list[dict[str, Any]]:
 SUITES = {
     "accuracy": accuracy, "pipeline": pipeline, "start_up": start_up, "loading": loading, "shading": shading, "large": large,
     "geometry": reliefs.geometry, "relief": reliefs.relief, "distribution": reliefs.distribution,
-    "auto": auto.auto, "scale": scale.scale, "scene": scene.scene,
+    "compiled": compiled.measure, "auto": auto.auto, "scale": scale.scale, "scene": scene.scene,
     "shading_maps": shading_maps.shading_maps,
     "objects": objects.objects, "compare": compare.compare, "solvers": solvers.solvers,
     "sphere_images": spheres.sphere_images, "sphere_sizes": spheres.sphere_sizes, "sphere_shading": spheres.sphere_shading,

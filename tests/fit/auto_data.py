@@ -7,7 +7,7 @@ import torch
 from support import all_pairs, hemisphere
 
 from torchmat import Btf
-from torchmat.fit import climb
+from torchmat.fit import parts
 
 LIGHT, VIEW = all_pairs(hemisphere(((0, 1), (25, 5), (50, 7), (70, 7))), hemisphere(((0, 1), (30, 3), (60, 4))))
 ONE_VIEW = hemisphere(((10, 4), (30, 8), (50, 12), (65, 12)))
@@ -16,10 +16,10 @@ COLOUR = np.array([0.6, 0.4, 0.2])
 
 def shorten_fits(monkeypatch) -> None:
     """Let the distribution material, which hardly a test of the choice is about, take a tenth of a second."""
-    monkeypatch.setattr(climb, "_PILOT_EFFORT", 0.002)
-    monkeypatch.setattr(climb, "distribution_parts", list)
-    bare = climb.bare_distribution()
-    monkeypatch.setattr(climb, "bare_distribution", lambda: {**bare, "effort": 0.002, "specular_size": 8})
+    monkeypatch.setattr(parts, "_EFFORT", 0.002)
+    monkeypatch.setattr(parts, "distribution_parts", list)
+    bare = parts.bare_distribution()
+    monkeypatch.setattr(parts, "bare_distribution", lambda: {**bare, "effort": 0.002, "specular_size": 8})
 
 
 def colours(size: int, detail: bool = True) -> np.ndarray:

@@ -15,9 +15,10 @@ from support import assert_close
 
 import torchmat as tm
 from torchmat import Btf, FitConfig, FitError, RangeError, load_config
-from torchmat.fit import climb, evaluate
+from torchmat.fit import climb, evaluate, parts
 from torchmat.fit.auto import MET, NOT_MET, WITHIN
 from torchmat.fit.examine import Examiner, keep_back, wanted_cost
+from torchmat.fit.ladder import Part
 from torchmat.fit.shrink import total_bytes
 from torchmat.fit.target import Target
 from torchmat.fit.training import make_training
@@ -104,13 +105,31 @@ def test_a_height_map_is_taken_as_it_is():
 
 
 def test_the_distribution_material_is_built_part_by_part(monkeypatch):
-    parts = [("rotation", {"rotation": "yes"}), ("Fresnel", {"fresnel": "yes"}), ("3 lobes", {"lobes": 3})]
-    monkeypatch.setattr(climb, "distribution_parts", lambda: parts)
+    some = [Part("rotation", 2, {"rotation": "yes"}), Part("Fresnel", 1, {"fresnel": "yes"}), Part("3 lobes", 3, {"lobes": 3})]
+    monkeypatch.setattr(parts, "distribution_parts", lambda: some)
     result = tm.fit(data.glossy(data.colours(6)), "auto", psnr=60, geometry="flat")
     tried = [row["candidate"] for row in rows_of(result) if row["candidate"].startswith("distribution")]
     assert tried[0] == "distribution" and tried[1] == "distribution + rotation"
     assert not any("3 lobes" in name for name in tried)  # two come before three
     assert len(tried) == 4  # the start, two parts, and the whole fit
+
+
+def test_of_many_texels_some_are_tried_and_all_are_fitted():
+    btf = data.glossy(data.colours(96))
+    result = tm.fit(btf, "auto", psnr=35, geometry="flat")
+    alone = tm.fit(btf, "phong_srf", residual="cosine", storage="png8")
+    assert result.stop_reason == MET and choice_of(result)["chosen"]["candidate"] == "Phong + texture"
+    assert result.material.size == (96, 96) and result.material.bytes_per_texel == 3
+    # The lobe that all texels share is that of some: measured 0.001 dB.
+    assert after_export(result)["psnr_db"] == pytest.approx(after_export(alone)["psnr_db"], abs=0.02)
+    sizes = {row["candidate"]: row["bytes"] for row in rows_of(result, "kept")}
+    assert sizes["constant"] == pytest.approx(12 / 96**2)
+
+
+def test_what_is_delivered_of_some_texels_covers_all():
+    result = tm.fit(data.glossy(data.colours(96)), "auto", psnr=90, geometry="flat")
+    assert result.stop_reason == NOT_MET and result.material.size == (96, 96)
+    assert choice_of(result)["chosen"]["psnr_db"] == pytest.approx(after_export(result)["psnr_db"], abs=0.3)
 
 
 # Targets and budgets

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import inspect
 from pathlib import Path
 
 import pytest
 
-from torchmat import DataError, RangeError, load_config
+from torchmat import DataError, RangeError, load_btf, load_config
 from torchmat.fit import FITTERS, default_options
+from torchmat.fit.data_settings import DATA_KEYS
 from torchmat.fit.registry import AUTO
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
@@ -54,6 +56,62 @@ def test_overrides_reach_into_tables(tmp_path):
 def test_what_is_not_understood_is_refused(text, overrides, said, tmp_path):
     with pytest.raises(RangeError, match=said):
         load_config(write(tmp_path, text), overrides)
+
+
+@pytest.mark.parametrize(("text", "said"), [
+    ("[data]\nkind = 3", "kind must be one of .*it is 3"),
+    ('[data]\nkind = "ubo"', "Did you mean 'ubo2003'"),
+    ("[data]\nkind = []", "kind must be one of"),
+    ('[data]\nencoding = "sRGB"', "encoding must be one of 'auto', 'srgb', 'linear'"),
+    ('[data]\ninvalid = "masked"', "Did you mean 'mask'"),
+    ("[data]\ninvalid = true", "invalid must be one of 'error', 'mask'; it is True"),
+    ('[data]\nduplicates = "drop"', "duplicates must be one of"),
+    ('[data]\nexposure = "2"', "exposure must be a positive number; it is '2'"),
+    ("[data]\nexposure = 0", "exposure must be a positive number"),
+    ("[data]\nexposure = inf", "exposure must be a positive number"),
+    ("[data]\nexposure = true", "exposure must be a positive number"),
+    ("[data]\ncrop = [0, 0, 4]", "crop must be four whole numbers"),
+    ("[data]\ncrop = [0, 0, 4, 1.5]", "crop must be four whole numbers"),
+    ('[data]\ncrop = "0,0,4,4"', "crop must be four whole numbers"),
+    ("[data]\ndownscale = 0", "downscale must be a whole number"),
+    ("[data]\ndownscale = 2.0", "downscale must be a whole number"),
+    ("[data]\nlights = 3", "lights must be a list"),
+    ("[data]\nviews = []", "views must be a list"),
+    ("[data]\nviews = [-1]", "views must be a list"),
+    ("[data]\nnormalise = 1", "normalise must be true or false"),
+    ("[data]\nclipped_weight = nan", "clipped_weight must be a number from 0 to 1"),
+    ("[data]\nclipped_weight = 1.5", "clipped_weight must be a number from 0 to 1"),
+    ("[options]\nridge = nan", "ridge must be at least 0 and finite; it is nan"),
+    ("[options]\nridge = -1", "ridge must be at least 0 and finite; it is -1"),
+    ("[options]\nridge = inf", "ridge must be at least 0 and finite; it is inf"),
+    ('model = "neural"\n[options]\nlatent = -3', "latent must be at least 0 and finite"),
+    ('model = "distribution"\n[options]\neffort = nan', "effort must be at least 0 and finite"),
+    ("memory_mb = nan", "memory_mb must be at least 0"),
+    ("holdout = nan", "holdout must lie in"),
+    ("[target]\nseconds = nan", "seconds must be a positive number"),
+])
+def test_what_cannot_be_names_the_file_and_the_key(text, said, tmp_path):
+    with pytest.raises(RangeError, match=rf"fit me ü\.toml: .*{said}"):
+        load_config(write(tmp_path, text))
+
+
+def test_all_that_data_may_hold(tmp_path):
+    text = """[data]
+kind = "rti"
+encoding = "linear"
+exposure = 2
+crop = [0, 1, 2, 3]
+downscale = 2
+lights = [0, 5]
+views = [1]
+invalid = "mask"
+duplicates = "keep"
+normalise = true
+clipped_weight = 0
+"""
+    assert set(load_config(write(tmp_path, text)).data) == set(DATA_KEYS)
+    keywords = inspect.signature(load_btf).parameters
+    assert set(DATA_KEYS) == set(keywords) - {"path", "cache", "progress"}
 
 
 @pytest.mark.parametrize("content", [b"model = ", b"\xff\xfe\x00", b"model = 'a'\nmodel = 'b'"])

@@ -18,7 +18,9 @@ REPORT_KEYS = {
     "model", "options", "samples", "texels", "seed", "bytes_per_texel", "fit_seconds", "load_seconds",
     "shade_mtexels_per_s", "peak_rss_mb", "stop_reason", "train", "held_out", "held_out_after_export", "versions",
 }
-EXTRA_KEYS = {"target", "curve", "holdout", "holdout_by", "geometry", "tiles", "shared_bytes", "coverage", "source", "figures"}
+EXTRA_KEYS = {
+    "target", "data", "curve", "holdout", "holdout_by", "geometry", "tiles", "shared_bytes", "coverage", "source", "figures",
+}
 FIGURES = {"mse", "relative_error", "psnr_db", "psnr_log_db", "ssim", "delta_e"}
 OPTIONS = {
     "pca": {"components": 4}, "local_pca": {"clusters": 3, "components": 2},

@@ -9,7 +9,7 @@ from support import assert_close
 
 from torchmat import FitError, RangeError
 from torchmat.fit.levenberg_marquardt import (
-    CONVERGED, NOT_FINITE, STEP_LIMIT, forward_jacobian, levenberg_marquardt,
+    CONVERGED, NOT_FINITE, OPEN, STEP_LIMIT, forward_jacobian, levenberg_marquardt,
 )
 
 TIME = torch.linspace(0, 4, 25, dtype=torch.float64)
@@ -206,3 +206,42 @@ def test_float32_keeps_five_digits():
     solution = levenberg_marquardt(decay(2.5, 0.7), start)
     assert solution.reasons == (CONVERGED,)
     assert_close(solution.parameters, torch.tensor([[2.5, 0.7]]), 1e-5)
+
+
+def weak_direction(strength, dtype):
+    """Return the residual of an exponential of two parameters, the second of which hardly matters, and its start."""
+    random = np.random.default_rng(0)
+    matrix = np.linalg.qr(random.normal(size=(24, 2)))[0] * (1, strength) @ np.array([[0.8, 0.6], [-0.6, 0.8]])
+    data = torch.exp(torch.from_numpy(matrix @ (0.5, 1.0))).to(dtype)
+    rows = torch.from_numpy(matrix).to(dtype)
+    return (lambda p: torch.exp(p @ rows.T) - data), torch.zeros(1, 2, dtype=dtype)
+
+
+def test_what_damping_hides_is_not_called_converged():
+    residual, start = weak_direction(1e-4, torch.float32)
+    solution = levenberg_marquardt(residual, start, max_steps=500)
+    assert solution.reasons == (OPEN,)
+    # It is as said: the step without damping, in double precision, makes the misfit a hundred times smaller.
+    double, _ = weak_direction(1e-4, torch.float64)
+    at = solution.parameters.double()
+    step = torch.linalg.lstsq(forward_jacobian(double)(at)[0], -double(at)[0, :, None]).solution[:, 0]
+    assert float(double(at + step).norm()) < 0.01 * float(double(at).norm())
+
+
+@pytest.mark.parametrize(("strength", "dtype"), [(1e-1, torch.float32), (1e-4, torch.float64), (1e-9, torch.float32)])
+def test_what_is_found_or_lost_in_rounding_is_converged(strength, dtype):
+    residual, start = weak_direction(strength, dtype)
+    assert levenberg_marquardt(residual, start, max_steps=500).reasons == (CONVERGED,)
+
+
+def test_a_batch_names_open_directions_of_its_own_problems():
+    rows = [weak_direction(strength, torch.float32)[0] for strength in (1e-1, 1e-4)]
+
+    def batch(p):
+        return torch.cat([residual(p[number : number + 1]) for number, residual in enumerate(rows)])
+
+    def by_rows(p):
+        return torch.stack([forward_jacobian(one)(p[number : number + 1])[0] for number, one in enumerate(rows)])
+
+    solution = levenberg_marquardt(batch, torch.zeros(2, 2), jacobian=by_rows, max_steps=500)
+    assert solution.reasons == (CONVERGED, OPEN)

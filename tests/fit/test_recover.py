@@ -19,6 +19,7 @@ from torchmat import Btf, FitError, RangeError
 from torchmat.fit import recover_geometry
 from torchmat.fit.recover import recover_relief
 from torchmat.fit.training import make_training
+from torchmat.fit.watch import BUDGET, Watch
 
 # 28 samples of 24 x 100 texels: longer than the 96 that views are compared at.
 LONG = {
@@ -233,3 +234,51 @@ def test_the_brightness_of_the_images_does_not_matter():
     bright, dark = recover_geometry(scene.btf()), recover_geometry(dim)
     # Rounding alone differs: measured 1e-6 of the range.
     assert float((bright.relief.height - dark.relief.height).abs().max()) < 1e-5 * np.ptp(scene.height)
+
+
+class Ticking(Watch):
+    """A watch that is a second later whenever one looks."""
+
+    def __init__(self, limit: float) -> None:
+        super().__init__(limit)
+        self.looks = 0
+
+    @property
+    def seconds(self) -> float:
+        self.looks += 1
+        return float(self.looks)
+
+
+def recovered_within(scene: Scene, limit: float):
+    watch = Ticking(limit)
+    training = make_training(scene.btf(), torch.arange(len(scene.light)), 0, True, torch.float32, False, watch)
+    return recover_relief(training), watch
+
+
+def test_seconds_that_end_before_an_offset_is_found_leave_a_flat_surface():
+    scene = relief_scene()
+    found, watch = recovered_within(scene, 20)  # of which half, and there are 13 offsets to try
+    assert found.figures["stop_reason"] == BUDGET and found.figures["scale"] == 0
+    assert torch.equal(found.relief.height, torch.zeros(1, 24, 24)) and watch.looks < 15
+
+
+def test_seconds_that_end_later_leave_the_coarse_height():
+    scene = relief_scene()
+    whole = recover_geometry(scene.btf())
+    assert whole.figures["stop_reason"] == "converged"
+    found, watch = recovered_within(scene, 60)
+    assert found.figures["stop_reason"] == BUDGET and watch.looks < 40
+    correlation, slope, offset, worst = compared(scene, found.relief.height)
+    # Measured 0.99992, 0.947, 0.007, 0.040: the shape of photometric stereo with the scale and offset found, not refined.
+    assert correlation > 0.9998 and abs(slope - 1) < 0.07 and offset < 0.01 and worst < 0.05
+    assert not same_bits(found, whole)
+
+
+def test_a_fit_counts_the_recovery_as_its_time():
+    scene = relief_scene()
+    result = tm.fit(scene.btf(), "lambert", geometry="recover", seconds=0.01, measure=False)
+    assert result.stop_reason == BUDGET and result.report["stop_reason"] == BUDGET
+    assert result.report["figures"]["geometry"]["stop_reason"] == BUDGET
+    assert result.report["figures"]["geometry"]["chosen"] == "flat" and "height" not in result.material.maps
+    ample = tm.fit(scene.btf(), "lambert", geometry="recover", seconds=600.0, measure=False)
+    assert ample.stop_reason == "converged" and ample.report["figures"]["geometry"]["chosen"] == "recover"

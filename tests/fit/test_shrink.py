@@ -7,7 +7,8 @@ import math
 import pytest
 import torch
 
-from torchmat.fit.shrink import shrink, total_bytes
+from torchmat.fit import shrink as shrink_module
+from torchmat.fit.shrink import shrink, shrink_steps, total_bytes
 from torchmat.models import Distribution, Lptm, Texture
 from torchmat.models.storage import StoredAs
 
@@ -152,3 +153,39 @@ def test_the_steps_say_what_was_measured():
         size = known.get(step["stored"]) or StoredAs(tuple(map(int, step["stored"].split(" x "))))
         one = material.stored_at({step["map"]: size})
         assert step["bytes"] == pytest.approx(total_bytes(one)) and step["cost"] == pytest.approx(cost(one))
+
+
+def test_nothing_is_measured_twice_and_no_depth_that_cannot_help():
+    material, truth = lptm(wave(3), noise(6))
+    cost, known = squared(truth, 1e-3), squared(truth, 1e-3)
+
+    def in_full(one):
+        return 1e-3 + float(sum((one.maps[name].detach() - value).square().mean() for name, value in truth.items()))
+
+    plain = shrink(material, cost, 2e-3)
+    found = shrink(material, known, 2e-3, as_it_is=in_full)
+    assert found.material.stored == plain.material.stored and found.cost == plain.cost
+    assert len(known.calls) == len(cost.calls) - 1  # that of all maps in 16 bits
+    assert len({tuple(sorted(one.stored.items())) for one in known.calls}) == len(known.calls)
+
+
+def test_a_full_search_is_given_every_step():
+    material, truth = lptm(wave(3), noise(6))
+    fronts = shrink_steps(material, squared(truth, 1e-3))
+    assert {tuple(step.name for step in front) for front in fronts} == {("whole", "8 x 8", "4 x 4", "number")}
+    assert all(front[0].stored is None for front in fronts)
+    few = shrink_steps(material, squared(truth, 1e-3), 2e-3)
+    assert {front[0].map: len(front) for front in few} == {"chroma": 3, "luminance": 1}
+    assert shrink_steps(material, squared(truth, 1e-3), 2e-3, rival=5.0) == []
+
+
+def test_one_map_after_the_other_is_made_smaller_while_there_is_something_to_spare(monkeypatch):
+    monkeypatch.setattr(shrink_module, "_TRIES", 0)  # nothing but the one map that saves most to begin with
+    material, truth = lptm(wave(3) + 0.02 * noise(3), wave(6) + 0.05 * noise(6, seed=1))
+    cost = squared(truth)
+    sizes = [None, (8, 8), (4, 4), (2, 2), (1, 1)]
+    every = [material.stored_at({"chroma": StoredAs(a), "luminance": StoredAs(b)}) for a in sizes for b in sizes]
+    for limit in (3e-4, 1e-3, 5e-3, 3e-2):
+        least = min(total_bytes(one) for one in every if cost(one) <= limit)
+        found = shrink(material, squared(truth), limit)
+        assert found.cost <= limit and total_bytes(found.material) == pytest.approx(least)

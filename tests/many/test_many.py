@@ -90,6 +90,21 @@ def test_a_rerun_completes_what_is_missing(shared, data, tmp_path):
     assert [row["status"] for row in fit_many(other, again=True)] == ["done"]
 
 
+def test_images_read_otherwise_are_fitted_anew(data, tmp_path):
+    plain, no_cache = FitConfig("texture"), {"cache": False}
+    read = FitConfig("texture", data={"exposure": 2.0, "crop": [0, 0, 4, 8]})
+    job = Job(data[0], plain, tmp_path / "out", no_cache)
+    assert run.fit_one(job)["status"] == "done" and job.finished() is not None
+    assert Job(data[0], plain, job.out).finished() is not None  # where decoded images are kept decides nothing
+    assert Job(data[0], read, job.out, no_cache).finished() is None
+    assert Job(data[0], plain, job.out, {"exposure": 2.0}).finished() is None
+    assert run.fit_one(Job(data[0], read, job.out, no_cache))["status"] == "done"
+    assert job.finished() is None
+    for config, keywords in ((read, {}), (plain, {"exposure": 2.0, "crop": (0, 0, 4, 8)})):  # in the config or beside it
+        assert Job(data[0], config, job.out, keywords).finished()["data"] == {"exposure": 2.0, "crop": [0, 0, 4, 8]}
+    assert Job(data[0], read, job.out, {"exposure": 1.0}).finished() is None
+
+
 def test_a_worker_that_dies_is_replaced_and_its_job_begun_again(shared, data, tmp_path):
     mark = tmp_path / "died"
     job = jobs_of(data[:1], CONFIG, tmp_path / "out", {"cache": False})[0]

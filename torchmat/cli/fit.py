@@ -41,7 +41,7 @@ class Fit:
         from torchmat.report.tables import fit_tables
 
         check_target(self.out)  # before the work, not after it
-        config = load_config(self.config, self.set)
+        config = load_config(self.config, self.set).read_as(self.read.keywords())
         height = None if config.height_path is None else load_height(config.height_path)
         scenes = [load_scene(path) for path in self.scene]
         btf = self.read.load(self.data, config.data)

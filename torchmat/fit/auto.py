@@ -15,7 +15,8 @@ from typing import Any
 from torch import Tensor
 
 from torchmat.errors import FitError, RangeError, check_option, message
-from torchmat.fit.climb import MARGIN, SPENT, Climb, Option, fit_rung
+from torchmat.fit.candidate import Option, fit_rung
+from torchmat.fit.climb import MARGIN, SPENT, Climb
 from torchmat.fit.decisions import gain_db
 from torchmat.fit.on_relief import check_given_height
 from torchmat.fit.recover import Recovery, recover_relief
@@ -122,14 +123,14 @@ def _relief_helps(climb: Climb) -> bool:
 
 def _delivered(climb: Climb, recovery: Recovery | None) -> Fitted:
     """Return the material chosen, fitted to all samples if that is a closed form, and stored as was measured."""
-    best = climb.best
+    best = climb.whole(climb.best)
     if best.shrunk is None:
-        too_large = total_bytes(best.material) > climb.most_bytes
+        too_large = climb.bytes_of(best) > climb.most_bytes
         in_time = too_large or not climb.watch.spent
         best = climb.shrunk(best) if in_time else replace(best, shrunk=Shrunk(best.material, best.cost))
     fitted, material = best.fitted, best.material
     if best.rung.model != Distribution.name and not climb.watch.spent:
-        fitted = fit_rung(climb.training, best.rung, best.height)
+        fitted = fit_rung(climb.knowing(climb.training, best), best.rung, best.height)
         material = fitted.material.stored_at(material.stored)
     relief = recovery.relief if recovery is not None and best.height is not None else None
     reason = WITHIN if climb.limit is None else MET if climb.meets(best) else NOT_MET

@@ -5,21 +5,18 @@ from __future__ import annotations
 import dataclasses
 import math
 import tomllib
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from torchmat.btf.split import HOLDOUT_WAYS
 from torchmat.errors import RangeError, check_known_keys, check_option, message
+from torchmat.fit.data_settings import DATA_KEYS, check_data_settings
 from torchmat.fit.on_relief import GEOMETRIES
 from torchmat.fit.registry import AUTO, resolve_options
 from torchmat.fit.target import make_target
 from torchmat.text_file import read_toml
-
-_DATA_KEYS = (
-    "kind", "encoding", "exposure", "crop", "downscale", "lights", "views", "invalid", "duplicates", "normalise",
-    "clipped_weight",
-)
 
 
 @dataclass(frozen=True)
@@ -58,11 +55,16 @@ class FitConfig:
         if others and self.model != AUTO:
             step = f'Fit "{AUTO}" to let the model be chosen, or leave {others[0]} out.'
             raise RangeError(message("fit", others[0], f'be wanted of the model "{AUTO}"', f"it is {self.model}", step))
-        check_known_keys("config [data]", self.data, _DATA_KEYS)
+        check_data_settings(self.data)
         check_option("config", "holdout_by", self.holdout_by, HOLDOUT_WAYS)
         if not 0 <= self.holdout < 1:
             step = "It is the share that is held out; 0.2 is usual."
             raise RangeError(message("config", "holdout", "lie in [0, 1)", f"it is {self.holdout}", step))
+
+    def read_as(self, keywords: Mapping[str, Any]) -> FitConfig:
+        """Return this config with keywords of `load_btf` in place of those of its `data`; those of the cache are none."""
+        chosen = {name: value for name, value in keywords.items() if name in DATA_KEYS}
+        return dataclasses.replace(self, data={**self.data, **chosen})
 
     @property
     def height_path(self) -> str | None:
@@ -83,9 +85,16 @@ def _typed(where: str, table: dict[str, Any]) -> dict[str, Any]:
 
 
 def make_config(table: dict[str, Any], where: str = "config") -> FitConfig:
-    """Return the FitConfig of a parsed table; unknown keys are errors that suggest the nearest one."""
+    """Return the FitConfig of a parsed table; unknown keys are errors that suggest the nearest one.
+
+    Every error begins with `where`, the file that the table comes from.
+    """
     check_known_keys(where, table, [f.name for f in dataclasses.fields(FitConfig)])
-    return FitConfig(**_typed(where, table))
+    given = _typed(where, table)
+    try:
+        return FitConfig(**given)
+    except RangeError as error:
+        raise RangeError(str(error) if where == "config" else f"{where}: {error}") from error
 
 
 def load_config(path: str | Path, overrides: list[str] | None = None) -> FitConfig:

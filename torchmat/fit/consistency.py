@@ -22,6 +22,7 @@ from torchmat.repeatable import one_thread, orthonormal, product
 _SAMPLES = 400  # images that are compared, evenly chosen
 _TEXELS = 96  # along the longer side; larger images are averaged down, since fine relief shows in the slopes
 _RANK = 16
+_FEWEST_VIEWS = 8  # with less the directions of parallax are chance
 _SWEEPS = 3
 _HIGHEST = math.cos(math.radians(80))  # views flatter than that see too little of each texel
 _LOWEST_LIGHT = 0.1
@@ -41,6 +42,15 @@ class Captured:
     def slope(self) -> Tensor:
         """How far each view's rays move for each unit of height, [v, 2, 1, 1]."""
         return ray_slope(self.view, *self.images.shape[-2:])
+
+    def few(self, share: float) -> Captured:
+        """Return the images of a `share` of the views, at least eight of them, chosen at random but always the same."""
+        views, index = self.view_index.unique(return_inverse=True)
+        count = max(_FEWEST_VIEWS, math.ceil(share * len(views)))
+        chosen = torch.randperm(len(views), generator=torch.Generator().manual_seed(0))[:count].sort().values
+        kept = torch.isin(index, chosen)
+        found, index = views[index[kept]].unique(return_inverse=True)
+        return Captured(self.images[kept], self.weight[kept], self.view[found], index, self.tiles)
 
 
 def capture(training: Training) -> Captured:

@@ -6,7 +6,10 @@ are followed once for each height, and of large flat maps an even choice of texe
 
 from __future__ import annotations
 
+import math
+from dataclasses import replace
 from typing import NamedTuple
+from weakref import WeakKeyDictionary
 
 import torch
 from torch import Tensor
@@ -22,8 +25,9 @@ from torchmat.repeatable import one_thread
 _SHARE, _FEWEST, _MOST = 0.1, 16, 128  # of the training samples are kept back
 _VALUES = 1_000_000  # of a batch, as in an evaluation
 _MOST_VALUES = 40_000_000  # of all samples kept back of a surface whose rays are remembered
-_TEXELS = 4096  # of a flat material that are looked at
-_KEPT_HEIGHTS, _KEPT = 3, 8  # heights whose rays, and materials whose errors are remembered
+_TEXELS, _FEW = 4096, 1024  # of a flat material that are looked at, and about those that are enough for a first look
+_FEWEST_KEPT, _MOST_KEPT = 3, 12  # heights whose rays are remembered: all that shrinking tries
+_KEPT_RAYS = 8_000_000  # of all of them
 
 
 class Measured(NamedTuple):
@@ -87,16 +91,13 @@ class Examiner:
         self._whole: list[_Batch] | None = None
         self._part: list[_Batch] | None = None
         self._rays: list[tuple[Tensor, list[Rays]]] = []
-        self._known: list[tuple[Material, Measured]] = []
+        self._known: WeakKeyDictionary[Material, Measured] = WeakKeyDictionary()
 
     def measure(self, material: Material) -> Measured:
         """Return the errors of `material` as its textures would bring it back."""
-        for known, measured in self._known:
-            if known is material:
-                return measured
-        measured = self.measure_as_it_is(material.as_exported())
-        self._known = [*self._known[1 - _KEPT :], (material, measured)]
-        return measured
+        if material not in self._known:
+            self._known[material] = self.measure_as_it_is(material.as_exported())
+        return self._known[material]
 
     def measure_as_it_is(self, material: Material) -> Measured:
         """Return the errors of `material` without export."""
@@ -130,11 +131,10 @@ class Examiner:
     def _read(self, texels: Tensor | None) -> list[_Batch]:
         btf, batches = self._btf, []
         for part in self._rows.split(max(1, _VALUES // (3 * btf.height * btf.width))):
-            target = btf.images(part)
-            clipped = btf.clipped(part) & (target >= btf.clip_level)
-            planes = [target, display(target), btf.valid(part).expand_as(target), clipped]
-            if texels is not None:
-                planes = [_chosen(each, texels) for each in planes]
+            target, valid, clipped = btf.images(part), btf.valid(part), btf.clipped(part)
+            if texels is not None:  # before all else: what is left is few
+                target, valid, clipped = (_chosen(each, texels) for each in (target, valid, clipped))
+            planes = [target, display(target), valid.expand_as(target), clipped & (target >= btf.clip_level)]
             directions = [direction[part][:, :, None, None].float() for direction in (btf.light, btf.view)]
             batches.append(_Batch(*directions, *planes))
         return batches if texels is None else [_Batch(*(torch.cat(planes) for planes in zip(*batches, strict=True)))]
@@ -145,7 +145,9 @@ class Examiner:
             if known.dtype == height.dtype and torch.equal(known, height):
                 return met
         met = [rays(height, *batch.directions(height.dtype), material.tiles) for batch in batches]
-        self._rays = [*self._rays[1 - _KEPT_HEIGHTS :], (height.clone(), met)]
+        kept = _KEPT_RAYS // (self.samples * height.numel())
+        kept = min(_MOST_KEPT, max(_FEWEST_KEPT, kept))
+        self._rays = [*self._rays[1 - kept :], (height.clone(), met)]
         return met
 
 
@@ -180,3 +182,16 @@ def _some_texels(texels: int, seed: int) -> Tensor | None:
 
 def _chosen(planes: Tensor, texels: Tensor) -> Tensor:
     return planes.flatten(-2)[..., texels][..., None]
+
+
+def of_some_texels(training: Training) -> Training | None:
+    """Return the training of some texels, every so many in rows and columns; None where there are few anyway.
+
+    Every odd number: what repeats, mostly does so every even one.
+    """
+    btf = training.btf
+    texels = btf.height * btf.width
+    if texels <= 2 * _TEXELS:
+        return None
+    step = round(math.sqrt(texels / _FEW)) | 1
+    return replace(training, btf=btf.window(0, 0, btf.height, btf.width, step))

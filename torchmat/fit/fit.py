@@ -133,6 +133,7 @@ def _described(btf: Btf, config: FitConfig, fitted: Fitted) -> dict[str, Any]:
     return {
         "model": material.name, "samples": len(btf), "texels": btf.height * btf.width, "seed": config.seed,
         "holdout": config.holdout, "holdout_by": config.holdout_by, "tiles": config.tiles, "target": config.target,
+        "data": config.data,
         "bytes_per_texel": material.bytes_per_texel, "shared_bytes": material.shared_bytes,
         "load_seconds": btf.source.load_seconds, "shade_mtexels_per_s": shading_rate(material),
         "peak_rss_mb": peak_memory_mb(), "stop_reason": fitted.stop_reason, "coverage": _coverage(fitted.coverage),

@@ -8,13 +8,10 @@ from pathlib import Path
 from typing import Any
 
 import torch
-import torch.nn.functional as functional
 from torch import Tensor
 
-from torchmat.btf import Btf
-from torchmat.btf.decode import Decoder
-from torchmat.btf.store import CLIPPED, INVALID, VALID, summarise
 from torchmat.errors import RangeError, message
+from torchmat.fit.averaged import averaged
 from torchmat.fit.config import FitConfig
 from torchmat.fit.on_relief import fit_with_geometry
 from torchmat.fit.registry import AUTO
@@ -27,7 +24,6 @@ KEPT = 0.95
 _ONE_IN = 32  # of the other samples: what the scene does not ask for stays bounded
 _BASE = 0.2  # of the whole count, spread over all that are kept: with less, highlights that the scene lacks run away
 _FRONTAL = 0.02  # the same, over the most frontal view
-_BLOCK_VALUES = 8_000_000
 _LEAST_EFFORT = 0.2  # below, the steps do not suffice to leave the start
 _RECOVERY = 160  # samples that a relief is recovered from: it correlates at 0.999 with that from all of them
 
@@ -120,27 +116,11 @@ def _for_recovery(training: Training, choice: Choice) -> Training:
 def _training_of(training: Training, choice: Choice) -> Training:
     """Return the training over the chosen samples and texels alone."""
     btf = training.btf if choice.window is None else training.btf.window(*choice.window)
-    btf = _shrunk(btf, choice.rows, choice.level, training.dtype) if choice.level else btf.picked(choice.rows)
+    size = tuple(math.ceil(side / 2**choice.level) for side in (btf.height, btf.width))
+    btf = averaged(btf, choice.rows, size, training.dtype) if choice.level else btf.picked(choice.rows)
     used = torch.ones(len(btf), dtype=torch.bool)
     tiles = training.tiles and choice.window is None
     return replace(training, btf=btf, used=used, tiles=tiles, importance=choice.importance)
-
-
-def _shrunk(btf: Btf, rows: Tensor, level: int, dtype: torch.dtype) -> Btf:
-    """Return chosen samples, each texel the mean of those it covers when the images are halved `level` times."""
-    size = tuple(math.ceil(side / 2**level) for side in (btf.height, btf.width))
-    images, flags = [], []
-    for part in rows.split(max(1, _BLOCK_VALUES // (3 * btf.height * btf.width))):
-        valid = btf.valid(part).to(dtype)
-        there = functional.adaptive_avg_pool2d(valid, size)
-        mean = functional.adaptive_avg_pool2d(btf.images(part, dtype) * valid, size)
-        images.append(mean / there.clamp(min=1e-12))
-        clipped = functional.adaptive_avg_pool2d(btf.clipped(part).to(dtype), size) > 0
-        flags.append(torch.where(there < 0.5, INVALID, torch.where(clipped, CLIPPED, VALID))[:, 0].to(torch.uint8))
-    pixels = torch.cat(images).numpy()
-    store = summarise(pixels, torch.cat(flags).numpy())
-    decoder = Decoder(pixels.dtype, "linear", 1.0)
-    return Btf(store, btf.light[rows], btf.view[rows], decoder, btf.source, btf.clipped_weight)
 
 
 def _lighter(options: dict[str, Any], share: float) -> dict[str, Any]:

@@ -6,6 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from torch import Tensor
+
 from torchmat.fit.registry import default_options
 from torchmat.models.storage import StoredAs
 
@@ -31,6 +33,11 @@ class Rung:
         return {**self.options, "storage": "png8"}
 
 
+def named(rung: Rung, height: Tensor | None) -> str:
+    """Return the name of a candidate, flat or on a relief."""
+    return rung.name if height is None else f"{rung.name} on relief"
+
+
 # In the order of their bytes; what two rungs share is fitted once.
 CLOSED_FORMS = (
     Rung("constant", "texture", 0, {}, {"albedo": _NUMBER}),
@@ -48,9 +55,26 @@ CLOSED_FORMS = (
 RELIEF_BYTES = 5  # height and ambient
 
 _BARE = {"lobes": 1, "fresnel": "no", "rotation": "no", "normal": "no", "specular_mask": "no", "tilt": "no"}
+
+
+@dataclass(frozen=True)
+class Part:
+    """Something that may be added to the distribution material: bytes a texel of its map, the options that ask for it."""
+
+    name: str
+    bytes: float
+    options: Mapping[str, Any] = field(hash=False)
+
+    @property
+    def lobes(self) -> int:
+        """How many lobes it makes, 0 if it is about something else."""
+        return self.options.get("lobes", 0)
+
+
 _PARTS = (
-    ("mask", {"specular_mask": "yes"}), ("Fresnel", {"fresnel": "yes"}), ("rotation", {"rotation": "yes"}),
-    ("normal", {"normal": "yes"}), ("2 lobes", {"lobes": 2}), ("3 lobes", {"lobes": 3}), ("tilt", {"tilt": "yes"}),
+    Part("mask", 1, {"specular_mask": "yes"}), Part("Fresnel", 1, {"fresnel": "yes"}),
+    Part("rotation", 2, {"rotation": "yes"}), Part("normal", 3, {"normal": "yes"}), Part("2 lobes", 2, {"lobes": 2}),
+    Part("3 lobes", 1, {"lobes": 3}), Part("tilt", 0, {"tilt": "yes"}),
 )
 
 
@@ -64,10 +88,6 @@ def bare_distribution() -> dict[str, Any]:
     return {name: value for name, value in _BARE.items() if name in default_options("distribution")}
 
 
-def distribution_parts() -> list[tuple[str, dict[str, Any]]]:
-    """Return what may be added to it, (name, options), in the order of trying.
-
-    Parts depend on each other, and one order is not best for all data: on the reference wallpaper normals before
-    Fresnel ended at 9.3 bytes a texel where this order ends at 6.6.
-    """
-    return [(name, options) for name, options in _PARTS if set(options) <= set(default_options("distribution"))]
+def distribution_parts() -> list[Part]:
+    """Return what may be added to it, in the order of trying."""
+    return [part for part in _PARTS if set(part.options) <= set(default_options("distribution"))]

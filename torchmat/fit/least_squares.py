@@ -23,10 +23,11 @@ class Design:
     """A design matrix [sample, K], orthonormalised: ``matrix = basis @ back``.
 
     `basis` [sample, rank] has orthonormal columns (rows of samples that do not take part are 0); `back` [rank, K];
-    `to_coefficients` [K, rank] is the way back, of minimum norm where columns depend on each other. Products are
-    summed in the orthonormal basis, where float32 does not lose the digits that the squared condition number of the
-    plain normal equations would. `penalty` is what a squared coefficient costs. `root` [sample] is the root of what each
-    sample counts, None for all alike: the matrix is then the one whose rows are multiplied with it.
+    `to_coefficients` [K, rank] is the way back. Where columns depend on each other it gives, of all coefficients that
+    predict the same, those of minimum norm in the units that the columns have. Products are summed in the orthonormal
+    basis, where float32 does not lose the digits that the squared condition number of the plain normal equations would.
+    `penalty` is what a squared coefficient costs. `root` [sample] is the root of what each sample counts, None for all
+    alike: the matrix is then the one whose rows are multiplied with it.
     """
 
     basis: Tensor
@@ -54,7 +55,8 @@ class Design:
 def make_design(matrix: Tensor, used: Tensor, ridge: float = 0.0, importance: Tensor | None = None) -> Design:
     """Factorise `matrix` [sample, K] over the samples that are `used` (bool), each of which counts `importance` [sample].
 
-    `ridge` penalises squared coefficients, as a share of the columns' mean energy; 0 is plain least squares.
+    `ridge` penalises squared coefficients, as a share of the columns' mean energy; 0 is plain least squares. The units
+    of the columns, however far apart, cost no digits.
     """
     root = None if importance is None else importance.double().sqrt()
     matrix = matrix if root is None else matrix.double() * root[:, None]
@@ -70,11 +72,33 @@ def make_design(matrix: Tensor, used: Tensor, ridge: float = 0.0, importance: Te
     # The factorisation leaves 1e-17 in the rows of zeros, enough for held-out images to leave their trace.
     basis = torch.where(used[:, None], basis, torch.zeros((), dtype=torch.float64))
     penalty = ridge * float(matrix.square().sum()) / matrix.shape[1]
-    way_back = torch.linalg.pinv(back)
     if penalty > 0:
         damped = back.T @ back + penalty * torch.eye(back.shape[1], dtype=back.dtype)
-        way_back = torch.linalg.solve(damped, back.T)
+        way_back = _solve_scaled(damped, back.T)
+    else:
+        way_back = _least_norm(singular[kept], right[kept], length)
     return Design(basis, back, way_back, penalty, root)
+
+
+def _least_norm(singular: Tensor, right: Tensor, length: Tensor) -> Tensor:
+    """Return the pseudo-inverse [K, rank] of ``singular[:, None] * right * length`` by way of columns of one length.
+
+    A pseudo-inverse of columns in their own units would take the smallest for rounding and drop them. That of columns
+    of one length solves as well; what it holds of directions without effect is taken off, which leaves the least norm.
+    """
+    one = (right / singular[:, None]).T / length[:, None]
+    if len(right) == len(length):
+        return one
+    with one_thread():
+        others = torch.linalg.svd(right, full_matrices=True)[2][len(right) :]
+        without_effect = torch.linalg.qr((others / length).T)[0]
+    return one - without_effect @ (without_effect.T @ one)
+
+
+def _solve_scaled(matrix: Tensor, right: Tensor) -> Tensor:
+    """Solve symmetric positive definite systems [..., K, K], rows and columns scaled to a diagonal of ones before."""
+    scale = matrix.diagonal(dim1=-2, dim2=-1).sqrt()[..., None]
+    return torch.linalg.solve(matrix / scale / scale.transpose(-1, -2), right / scale) / scale
 
 
 @dataclass(frozen=True)
@@ -227,7 +251,7 @@ def _in_coefficients(design: Design, normal: Tensor, right: Tensor) -> Tensor:
     right = design.back.T @ right
     if design.penalty > 0:
         matrix += design.penalty * torch.eye(design.terms, dtype=torch.float64)
-        return torch.linalg.solve(matrix, right)
+        return _solve_scaled(matrix, right)
     # Measured against the full design: a texel without samples has rounding errors for a matrix, and no solution.
     scale = design.back.square().sum(dim=0).max()
     values, vectors = torch.linalg.eigh(matrix / scale)

@@ -20,6 +20,8 @@ from torchmat.errors import FitError, check_finite, message
 from torchmat.repeatable import one_thread
 
 CONVERGED, STEP_LIMIT, NOT_FINITE = "converged", "step limit", "not finite"
+OPEN = "directions left open"  # damped away while they promised a lower cost
+_ROUNDING = 10.0  # times what one rounding of residuals and parameters changes: below, nothing is promised
 
 
 @dataclass(frozen=True)
@@ -87,10 +89,13 @@ class _State:
         self.done = torch.zeros(problems, dtype=torch.bool)
         self.failed = torch.zeros(problems, dtype=torch.bool)
 
-    def reasons(self) -> tuple[str, ...]:
-        """Name why each problem stopped."""
-        pairs = zip(self.done.tolist(), self.failed.tolist(), strict=True)
-        return tuple(NOT_FINITE if failed else CONVERGED if done else STEP_LIMIT for done, failed in pairs)
+    def reasons(self, left_open: Tensor) -> tuple[str, ...]:
+        """Name why each problem stopped; `left_open` [problem] says whether a step without damping promises more."""
+        known = zip(self.done.tolist(), self.failed.tolist(), left_open.tolist(), strict=True)
+        return tuple(
+            NOT_FINITE if failed else STEP_LIMIT if not done else OPEN if more else CONVERGED
+            for done, failed, more in known
+        )
 
     def accept(self, better: Tensor, candidate: Tensor, residuals: Tensor, cost: Tensor, gain: Tensor) -> None:
         """Take the steps that lowered the cost; adapt damping by the gain ratio (Nielsen 1999)."""
@@ -111,8 +116,11 @@ def levenberg_marquardt(
     Damping scales with the largest curvature met per parameter (Moré 1978), so that units do not matter. A parameter
     at a bound which the gradient pushes outward is held for that step. `jacobian` [problem, R, P], if given, must be
     that of `residual`. A problem has converged when a step promises or brings less than `tolerance` of its cost or
-    moves by less than `tolerance`, relative; it stops as not finite where the Jacobian is, or where every shorter step
-    gives NaN or Inf. Parameters returned are the best met. Raises FitError when the start itself gives NaN or Inf.
+    moves by less than `tolerance`, relative; where that holds only since damping shortens the step along directions that
+    hardly matter, while without it the step promises more, these are "directions left open". It stops as not finite
+    where the Jacobian is, or where every shorter step gives NaN or Inf. Parameters returned are the best met.
+
+    Raises FitError when the start itself gives NaN or Inf.
     """
     check_finite("levenberg_marquardt", "start", start)
     low, high = _bounds(start, low, high)
@@ -128,7 +136,49 @@ def levenberg_marquardt(
             break
         _step(residual, jacobian, state, low, high, tolerance)
         history.append(state.cost.clone())
-    return Solution(state.parameters, state.cost, state.reasons(), torch.stack(history))
+    more = state.done & ~state.failed
+    if bool(more.any()):
+        promised, ahead = _undamped(state, jacobian(state.parameters), low, high)
+        # A promise alone may be the error of a Jacobian by differences: it counts where the step keeps it.
+        kept = _cost(residual(ahead)) < (1 - tolerance) * state.cost
+        more = more & (promised > tolerance * state.cost) & kept & ~_small(ahead - state.parameters, state.parameters, tolerance)
+    return Solution(state.parameters, state.cost, state.reasons(more), torch.stack(history))
+
+
+def _held(state: _State, gradient: Tensor, low: Tensor, high: Tensor) -> Tensor:
+    """Return which parameters [problem, P] are at a bound that the gradient pushes against."""
+    return ((state.parameters <= low) & (gradient > 0)) | ((state.parameters >= high) & (gradient < 0))
+
+
+def _small(move: Tensor, parameters: Tensor, tolerance: float) -> Tensor:
+    """Return which moves [problem] are small: relative to the parameters, or for those near 0 to what changes residuals."""
+    return (move.abs() <= tolerance * (parameters.abs() + tolerance)).all(dim=1)
+
+
+def _undamped(state: _State, jacobian: Tensor, low: Tensor, high: Tensor) -> tuple[Tensor, Tensor]:
+    """Return what a step without damping promises beyond what rounding hides, and the parameters after it.
+
+    By singular values of the Jacobian's columns, of length 1 each: their squares, the normal equations, would hide the
+    directions in question. What rounding makes of a direction, the more the weaker it is, promises nothing.
+    """
+    eps = torch.finfo(jacobian.dtype).eps
+    jacobian, residuals = jacobian.nan_to_num(0, 0, 0).double(), state.residuals.double()
+    with one_thread():
+        held = _held(state, torch.einsum("brp,br->bp", jacobian, residuals), low, high)
+        jacobian = torch.where(held[:, None], 0.0, jacobian)
+        length = jacobian.norm(dim=1)
+        unit = torch.where(length > 0, length, 1.0)
+        left, strength, right = torch.linalg.svd(jacobian / unit[:, None], full_matrices=False)
+        size = residuals.norm(dim=1)
+        noise = _ROUNDING * eps * size[:, None] / strength.clamp(min=1e-300)
+        along = (left.transpose(1, 2) @ residuals[..., None])[..., 0]
+        along = torch.where(noise < size[:, None], along.sign() * (along.abs() - noise).clamp(min=0), 0.0)
+        move = -(right.transpose(1, 2) @ (along / strength.clamp(min=1e-300))[..., None])[..., 0] / unit
+        # One rounding of the parameters changes the residuals by so much, and the cost by that times their size.
+        blur = _ROUNDING * eps * (length * state.parameters.double()).norm(dim=1)
+        promised = 0.5 * along.square().sum(dim=1) - blur * (size + blur)
+    ahead = torch.minimum(torch.maximum(state.parameters + move.to(low.dtype), low), high)
+    return promised.to(ahead.dtype), ahead
 
 
 def _propose(state: _State, jacobian: Tensor, low: Tensor, high: Tensor) -> tuple[Tensor, Tensor, Tensor]:
@@ -136,8 +186,7 @@ def _propose(state: _State, jacobian: Tensor, low: Tensor, high: Tensor) -> tupl
     normal = jacobian.transpose(1, 2) @ jacobian
     gradient = torch.einsum("brp,br->bp", jacobian, state.residuals)
     broken = ~(torch.isfinite(normal).all(dim=2).all(dim=1) & torch.isfinite(gradient).all(dim=1))
-    held = ((state.parameters <= low) & (gradient > 0)) | ((state.parameters >= high) & (gradient < 0))
-    held = held | broken[:, None]
+    held = _held(state, gradient, low, high) | broken[:, None]
     gradient = torch.where(held, torch.zeros_like(gradient), gradient)
     normal = torch.where(held[:, :, None] | held[:, None, :], torch.zeros_like(normal), normal)
     # Scaled to columns of unit length before they are damped and solved: of 1e-6 and 1e6 no digits would be left.
@@ -145,7 +194,9 @@ def _propose(state: _State, jacobian: Tensor, low: Tensor, high: Tensor) -> tupl
     unit = torch.where(state.scale > 0, state.scale, torch.ones_like(state.scale))
     damped = normal / unit[:, :, None] / unit[:, None, :]
     damped = damped + state.damping[:, None, None] * torch.eye(normal.shape[-1], dtype=normal.dtype)
-    move = -torch.linalg.solve(damped, (gradient / unit)[..., None])[..., 0] / unit
+    move, singular = torch.linalg.solve_ex(damped, (gradient / unit)[..., None])
+    # Singular but for rounding: no step, which is rejected, and the next one is damped more.
+    move = -torch.where((singular != 0)[:, None], torch.nan, move[..., 0]) / unit
     candidate = torch.minimum(torch.maximum(state.parameters + move, low), high)
     move = candidate - state.parameters
     promised = -(gradient * move).sum(1) - 0.5 * torch.einsum("bp,bpq,bq->b", move, normal, move)
@@ -167,8 +218,7 @@ def _step(
     better = finite & (cost < state.cost) & ~state.done
     floor = tolerance * state.cost + torch.finfo(cost.dtype).tiny
     small_gain = (promised.abs() <= floor) | (better & ((state.cost - cost) <= floor))
-    # Relative to the parameters, or for those near 0 to what would change the residuals at all.
-    small_move = (move.abs() <= tolerance * (state.parameters.abs() + tolerance)).all(dim=1)
+    small_move = _small(move, state.parameters, tolerance)
     stuck = ~better & (state.damping >= 1e14)
     state.accept(better, candidate, residuals, cost, gain)
     state.failed = state.failed | (~state.done & (broken | (stuck & ~finite)))

@@ -60,7 +60,7 @@ def fit_lptm(training: Training, *, storage: str = "half") -> Fitted:
     """
     design, moments, solved = _solve(training, "polynomial")
     luminance = colour.luminance(solved.coefficients, dim=1)
-    ones = product(design.left.T, training.used.double()).to(training.dtype)
+    ones = product(design.left.T, training.used.double()[:, None])[:, 0].to(training.dtype)
     total = torch.einsum("r,rchw->chw", ones, moments.product).clamp(min=0)
     brightness = colour.luminance(total)
     grey = torch.ones_like(total)

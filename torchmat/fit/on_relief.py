@@ -18,11 +18,13 @@ from torchmat.fit.recover import recover_relief
 from torchmat.fit.registry import FITTERS
 from torchmat.fit.surface import Sight, ambient_and_usual, bring_onto, without_shadow
 from torchmat.fit.training import Fitted, Training
+from torchmat.fit.watch import BUDGET, Watch
 from torchmat.fit.window import Window
 from torchmat.geometry.normals import LARGEST_SCALE
 
 GEOMETRIES = ("flat", "recover")
 _VALIDATION, _VALIDATION_SAMPLES = 0.1, 200
+_COMPARING = 0.2  # of the seconds that are left, for each of the two fits that say what a relief is worth
 # What a relief is worth shows long before the last step of an iterative fit.
 _QUICK = {
     "distribution": {"lobes": 1, "fresnel": "yes", "rotation": "yes", "effort": 0.15}, "neural": {"effort": 0.1},
@@ -88,6 +90,9 @@ def fit_with_geometry(
     A relief that was recovered is kept if it makes the model better on training samples that neither fit has seen;
     what was compared stands in the figures. `recovered_from` are samples of the same texels that the relief is
     recovered from, where they are not those that are fitted.
+
+    Recovery and comparison count as time of the fit. A recovery that ran out of it gives a coarser relief, and where no
+    time is left for more the surface is flat: the reason is "budget spent" either way.
     """
     if isinstance(geometry, Tensor):
         return fit_on_relief(training, model, options, check_given_height(geometry, training))
@@ -97,8 +102,9 @@ def fit_with_geometry(
     start = time.perf_counter()
     relief, figures = recover_relief(recovered_from or training)
     figures = {**figures, "recovery_seconds": time.perf_counter() - start}
-    height = relief.height
-    if float(height.abs().max()) == 0:
+    height, raised = relief.height, float(relief.height.abs().max()) > 0
+    cut = figures["stop_reason"] == BUDGET or (raised and training.watch.spent)
+    if not raised or training.watch.spent:
         chosen = "flat"
     else:
         chosen, compared = compare_with_flat(training, model, options, height)
@@ -107,7 +113,8 @@ def fit_with_geometry(
         fitted = fit_flat(training, model, options)
     else:
         fitted = replace(fit_on_relief(training, model, options, height), relief=relief)
-    return replace(fitted, figures={**fitted.figures, "geometry": {**figures, "chosen": chosen}})
+    figures = {**fitted.figures, "geometry": {**figures, "chosen": chosen}}
+    return replace(fitted, stop_reason=BUDGET if cut else fitted.stop_reason, figures=figures)
 
 
 def compare_with_flat(training: Training, model: str, options: dict[str, Any], height: Tensor) -> tuple[str, dict[str, float]]:
@@ -119,9 +126,13 @@ def compare_with_flat(training: Training, model: str, options: dict[str, Any], h
     used[kept_back] = False
     if not bool(used.any()):
         return "recover", {}
-    part = replace(training, used=used)
+    seconds = _COMPARING * max(0.0, training.watch.limit - training.watch.seconds)
     quick = {**options, **_QUICK.get(model, {})}
-    rivals = {"flat": fit_flat(part, model, quick), "recover": fit_on_relief(part, model, quick, height)}
+
+    def part() -> Training:
+        return replace(training, used=used, watch=Watch(seconds))
+
+    rivals = {"flat": fit_flat(part(), model, quick), "recover": fit_on_relief(part(), model, quick, height)}
     found = {
         way: evaluate(fitted.material, training.btf, kept_back, _VALIDATION_SAMPLES).report["psnr_db"]
         for way, fitted in rivals.items()

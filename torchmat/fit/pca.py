@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable
 
 import torch
@@ -285,10 +286,13 @@ def _cluster(
 
 def _first_labels(points: Tensor, clusters: int, seed: int) -> Tensor:
     from sklearn.cluster import KMeans
+    from sklearn.exceptions import ConvergenceWarning
     from threadpoolctl import threadpool_limits  # comes with scikit-learn
 
     # Threads of k-means add their sums in the order in which they finish.
-    with threadpool_limits(1, user_api="openmp"):
+    with threadpool_limits(1, user_api="openmp"), warnings.catch_warnings():
+        # Fewer different texels than clusters: some clusters stay empty, and `_lloyd` gives them all texels.
+        warnings.simplefilter("ignore", ConvergenceWarning)
         return torch.from_numpy(KMeans(clusters, n_init=1, random_state=seed).fit(points.numpy()).labels_).long()
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from typing import Any
 
 import torch
@@ -53,9 +52,11 @@ def fit_phong_srf(
     lobe = LOBES[base]
     parameters, reason, figures = training.shared.get("lobe"), CLOSED_FORM, {}
     if parameters is None:
-        parameters, reason, figures = _global_lobe(training, moments, lobe, phong)
+        means, left_out = _common_means(training, moments)
+        parameters, reason, errors = _global_lobe(training, means, lobe, phong)
+        figures = {"lobe_error_on_mean_brdf": errors, "texels_left_out_of_lobe": left_out}
         if solver == "varpro":
-            parameters, reason = _beside_residual(training, moments, design, lobe, parameters)
+            parameters, reason = _beside_residual(training, means, design, lobe, parameters)
     explained = lobe.evaluate(parameters, training.light.double(), training.view.double())[:, :, 0, 0]
     solved = solve_texels(training.btf, design, moments, training.used, explained)
     maps = {"lobe": parameters.to(training.dtype), "residual": solved.coefficients.flatten(0, 1)}
@@ -64,26 +65,27 @@ def fit_phong_srf(
     return Fitted(material, reason, solved.coverage, figures, shared={"lobe": parameters})
 
 
-def _global_lobe(training: Training, moments: Moments, lobe: Lobe, phong: str) -> tuple[Tensor, str, dict[str, Any]]:
-    """Return the parameters of the lobe that all texels share, the stop reason, and figures."""
+def _common_means(training: Training, moments: Moments) -> tuple[Tensor, int]:
+    """Return the mean colours [n, 3] over the texels that share the material's lobe, and how many others there are."""
     common = _common_texels(moments)
-    if not bool(common.all()):
-        moments = replace(moments, means=stream_means(training.btf, training.used, common, training.dtype))
-    ways = _fit_lobe(training, moments.means, lobe, phong)
+    if bool(common.all()):
+        return moments.means, 0
+    return stream_means(training.btf, training.used, common, training.dtype), int((~common).sum())
+
+
+def _global_lobe(training: Training, means: Tensor, lobe: Lobe, phong: str) -> tuple[Tensor, str, dict[str, float | None]]:
+    """Return the parameters of the lobe that all texels share, the stop reason, and the error by each way to find it."""
+    ways = _fit_lobe(training, means, lobe, phong)
     if phong not in ways:
         step = "Use phong='mean_brdf'."
         fact = f"no light has {_FEWEST_VIEWS} views among the fitted samples"
         raise FitError(message("fit phong_srf", "phong='per_light'", "have lights with at least 3 views", fact, step))
-    errors = {way: _relative_error(training, moments.means, lobe, found) for way, (found, _) in ways.items()}
-    figures = {
-        "lobe_error_on_mean_brdf": {way: errors.get(way) for way in PHONG_WAYS},
-        "texels_left_out_of_lobe": int((~common).sum()),
-    }
-    return *ways[phong], figures
+    errors = {way: _relative_error(training, means, lobe, found) for way, (found, _) in ways.items()}
+    return *ways[phong], {way: errors.get(way) for way in PHONG_WAYS}
 
 
 def _beside_residual(
-    training: Training, moments: Moments, design: Design, lobe: Lobe, start: Tensor
+    training: Training, means: Tensor, design: Design, lobe: Lobe, start: Tensor
 ) -> tuple[Tensor, str]:
     """Return the lobe with which the residual leaves the least error: variable projection (Golub & Pereyra 1973).
 
@@ -95,7 +97,7 @@ def _beside_residual(
     basis, way = design.basis[used], design.back @ design.to_coefficients
     values, spread = torch.linalg.eigh(torch.eye(design.rank, dtype=torch.float64) - (way + way.T) / 2)
     left_over = torch.eye(design.rank, dtype=torch.float64) - spread * values.clamp(min=0).sqrt() @ spread.T
-    light, view, means = training.light[used].double(), training.view[used].double(), moments.means[used]
+    light, view, means = training.light[used].double(), training.view[used].double(), means[used]
     weight = torch.ones(1, 1, dtype=torch.float64) if training.importance is None else training.importance[used, None].double().sqrt()
 
     def rest(rows: Tensor) -> Tensor:

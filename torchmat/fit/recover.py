@@ -20,7 +20,8 @@ from torchmat.btf import Btf
 from torchmat.errors import FitError, message
 from torchmat.fit.consistency import Agreement, Captured, agreement, capture, on_surface
 from torchmat.fit.refine import image_gradient, limited
-from torchmat.fit.training import Training, make_training
+from torchmat.fit.training import CLOSED_FORM as CONVERGED, Training, make_training
+from torchmat.fit.watch import BUDGET, Watch
 from torchmat.geometry import Relief, Stereo, photometric_stereo, poisson, slopes_from_normals
 from torchmat.geometry.normals import pad_border
 from torchmat.geometry.recover import relief_from_stereo
@@ -33,6 +34,8 @@ _FEWEST_VIEWS, _FEWEST_SAMPLES = 6, 24  # below, there is no parallax to speak o
 _WIDEST = 0.3  # and none if no view leans further than this (tangent of its polar angle)
 _GAIN = 0.98  # a relief must bring the disagreement of the images below this share of a flat surface's
 _REFINEMENTS = 4
+_COMPARISONS = 45  # of all images on a height, that is what search and refinement take
+_SHARE = 0.5  # of a limit of seconds: the rest is for what is fitted on the relief
 # A slope of photometric stereo is off by so much, and steep ones by so much of themselves.
 _SLOPE_ERROR, _SLOPE_SHARE = 0.05, 0.15
 # What a low rank leaves over is no noise: neighbours in angle and space share it. It counts like 3 independent in 1000.
@@ -40,8 +43,15 @@ _INDEPENDENT = 0.003
 _FINE = 4.0  # coarse texels: what is finer is the slopes' alone
 
 
+class _Spent(Exception):
+    """Raised where the seconds of a recovery are over."""
+
+
 class Recovery(NamedTuple):
-    """The relief, its height over the plane of the images, and `figures` that say how it was found."""
+    """The relief, its height over the plane of the images, and `figures` that say how it was found.
+
+    Their `stop_reason` is "converged", or "budget spent" where the seconds did not suffice for all of the search.
+    """
 
     relief: Relief
     figures: dict[str, Any]
@@ -54,9 +64,13 @@ def recover_relief(training: Training) -> Recovery:
     best without relief comes out exactly flat. With fewer than six views there is no parallax: then the height has
     the scale of photometric stereo and mean 0. Raises FitError when no view is near enough to the normal, RangeError
     when its lights lie in one plane.
+
+    Half of the watch's limit of seconds is the most that is spent on scale, offset and refinement. It comes out coarser
+    then: from fewer views, with what was found by that time, and flat where that is not so much as an offset.
     """
     found = _stereo(training)
-    figures: dict[str, Any] = {"method": "photometric stereo", "offset": 0.0, "scale": 1.0}
+    figures: dict[str, Any] = {"method": "photometric stereo", "offset": 0.0, "scale": 1.0, "stop_reason": CONVERGED}
+    until = _SHARE * training.watch.limit
     if not _has_parallax(training):
         return Recovery(found, figures | {"scale_from": "photometric stereo: too few views, or too close to each other, for parallax"})
     captured = capture(training)
@@ -64,15 +78,20 @@ def recover_relief(training: Training) -> Recovery:
     slopes = slopes_from_normals(found.normal)
     coarse = _Slopes(_shrink(slopes, size), _shrink(found.confidence, size), training.tiles)
     start = _shrink(found.height, size).float()  # views are compared in single precision, whatever the fit runs in
-    flat = agreement(captured, torch.zeros_like(start)).error
-    scale, offset, best = _search(captured, start - start.mean(), flat, training.progress)
+    captured, flat = _in_time(captured, start, training.watch, until)
+    scale, offset, best = _search(captured, start - start.mean(), flat, training.progress, training.watch, until)
     figures |= {"method": "photometric stereo and views", "scale": scale, "offset": offset, "disagreement_flat": flat}
     figures["scale_from"] = "agreement of the views"
+    figures["images_compared"] = len(captured.images)
+    figures["stop_reason"] = BUDGET if training.watch.seconds >= until else CONVERGED
     level = {"scale": 0.0, "offset": 0.0, "disagreement": flat}
     if scale == 0 or best > _GAIN * flat:
         return Recovery(_flattened(found), figures | level)
     height = scale * (start - start.mean()) + offset
     for _ in progress(range(_REFINEMENTS), "refining the height", show=training.progress):
+        if training.watch.seconds >= until:
+            figures["stop_reason"] = BUDGET
+            break
         height = _refined(captured, height, coarse)
     figures["disagreement"] = agreement(captured, height).error
     # Between texels interpolation averages noise away, which the search takes for agreement: refined, it is gone.
@@ -89,6 +108,19 @@ def recover_geometry(
     """Recover height and normals of a BTF from all its samples; see `recover_relief`."""
     with torch.no_grad():
         return recover_relief(make_training(btf, torch.arange(len(btf)), seed, tiles, dtype, progress))
+
+
+def _in_time(captured: Captured, height: Tensor, watch: Watch, until: float) -> tuple[Captured, float]:
+    """Return what is compared, fewer views where the seconds demand it, and their disagreement on a flat surface."""
+    begun = watch.seconds
+    flat = agreement(captured, torch.zeros_like(height)).error
+    if until == math.inf:
+        return captured, flat
+    share = max(0.0, until - watch.seconds) / max(_COMPARISONS * (watch.seconds - begun), 1e-9)
+    if share >= 1:
+        return captured, flat
+    captured = captured.few(share)
+    return captured, agreement(captured, torch.zeros_like(height)).error
 
 
 def _stereo(training: Training) -> Relief:
@@ -126,25 +158,35 @@ def _shrink(maps: Tensor, size: Sequence[int]) -> Tensor:
     return functional.adaptive_avg_pool2d(maps, tuple(size))
 
 
-def _search(captured: Captured, shape: Tensor, flat: float, show: bool | None) -> tuple[float, float, float]:
-    """Return scale, offset and disagreement of the best height ``scale * shape + offset``."""
+def _search(
+    captured: Captured, shape: Tensor, flat: float, show: bool | None, watch: Watch, until: float
+) -> tuple[float, float, float]:
+    """Return scale, offset and disagreement of the best height ``scale * shape + offset``.
+
+    At the watch's second `until` it is what whole turns have found; scale 0 says that there was none.
+    """
     span = float(shape.max() - shape.min())
     if span < 1e-6:
         return 0.0, 0.0, flat
 
     def error(scale: float, offset: float) -> float:
+        if watch.seconds >= until:
+            raise _Spent
         return agreement(captured, scale * shape + offset).error
 
-    bar = progress(range(5), "finding scale and offset", show=show)
-    scale, offset, best = 1.0, 0.0, math.inf
-    for turn in bar:
-        if turn == 0:
-            offset, best = _lowest(lambda x: error(1.0, x), [span * step / 4 for step in range(-6, 7)])
-        elif turn % 2 == 1:
-            scale, best = _lowest(lambda x: error(x, offset), [scale * s for s in (0.3, 0.55, 0.8, 1, 1.25, 1.6)])  # noqa: B023
-        else:
-            reach = 0.2 * span * scale / turn
-            offset, best = _lowest(lambda x: error(scale, x), [offset + reach * s for s in (-1, -0.5, 0, 0.5, 1)])  # noqa: B023
+    scale, offset, best = 0.0, 0.0, flat
+    try:
+        for turn in progress(range(5), "finding scale and offset", show=show):
+            if turn == 0:
+                offset, best = _lowest(lambda x: error(1.0, x), [span * step / 4 for step in range(-6, 7)])
+                scale = 1.0
+            elif turn % 2 == 1:
+                scale, best = _lowest(lambda x: error(x, offset), [scale * s for s in (0.3, 0.55, 0.8, 1, 1.25, 1.6)])  # noqa: B023
+            else:
+                reach = 0.2 * span * scale / turn
+                offset, best = _lowest(lambda x: error(scale, x), [offset + reach * s for s in (-1, -0.5, 0, 0.5, 1)])  # noqa: B023
+    except _Spent:
+        pass
     return scale, offset, best
 
 

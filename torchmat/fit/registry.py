@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import inspect
+import math
 from collections.abc import Callable
 from typing import Any
 
@@ -93,8 +94,13 @@ def resolve_options(model: str, given: dict[str, object]) -> dict[str, object]:
 
 
 def _check_kind(where: str, name: str, value: object, kind: type) -> None:
-    """Raise RangeError unless `value` is of the default's kind; whole numbers serve as numbers, booleans do not."""
+    """Raise RangeError unless `value` is of the default's kind; whole numbers serve as numbers, booleans do not.
+
+    No option of a model has a meaning below 0, or where it is no number.
+    """
     accepted = (int, float) if kind is float else kind
     if not isinstance(value, accepted) or (isinstance(value, bool) and kind is not bool):
         names = {int: "a whole number", float: "a number", str: "a text", bool: "true or false"}
         raise RangeError(message(where, name, f"be {names.get(kind, kind.__name__)}", f"it is {value!r}"))
+    if kind in (int, float) and not 0 <= value < math.inf:
+        raise RangeError(message(where, name, "be at least 0 and finite", f"it is {value}"))

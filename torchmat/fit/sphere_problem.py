@@ -6,6 +6,7 @@ equations: one `grid_sample` and its transpose a step.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -109,16 +110,24 @@ class SphereProblem:
     def solve(
         self, looked_up: LookedUp, images: Tensor, steps: int, smoothness: float = _SMOOTHNESS, fade: float = 0.0
     ) -> Tensor:
-        """Return the pictures after `steps` of conjugate gradients from `images`; the rest as in `PictureSystem`."""
+        """Return the pictures after at most `steps` of conjugate gradients from `images`; the rest as in `PictureSystem`.
+
+        Each step lowers the squared error, so the last pictures are the best. It ends where the rest is rounding, or
+        where a direction has no curvature: there the numbers of the precision are used up, and a step would undo others.
+        """
         system = self.system(looked_up, smoothness, fade)
-        rest = looked_up.transpose(self.weight * self.value) - system.apply(images)
+        wanted = looked_up.transpose(self.weight * self.value)
+        rest = wanted - system.apply(images)
         way = ahead = system.precondition(rest)
-        size = dot(rest, ahead)
+        size, enough = dot(rest, ahead), float(dot(wanted, system.precondition(wanted))) * torch.finfo(rest.dtype).eps ** 2
         for _ in range(steps):
-            if not float(size) > 0:
+            if not float(size) > enough:
                 break
             curved = system.apply(way)
-            step = size / dot(way, curved)
+            curvature = dot(way, curved)
+            if not 0 < float(curvature) < math.inf:
+                break
+            step = size / curvature
             images, rest = images + step * way, rest - step * curved
             ahead = system.precondition(rest)
             size, before = dot(rest, ahead), size

@@ -11,6 +11,7 @@ from torch import Tensor
 
 from torchmat.btf import Btf
 from torchmat.errors import RangeError, check_option, message
+from torchmat.fit.averaged import averaged
 from torchmat.fit.by_descent import DESCENTS
 from torchmat.fit.on_relief import GEOMETRIES, check_given_height, compare_with_flat, fit_flat, fit_on_relief
 from torchmat.fit.recover import recover_relief
@@ -152,7 +153,7 @@ def _height(
     require_recovery(memory_mb)
     relief, figures = recover_relief(training)
     chosen = "flat"
-    if float(relief.height.abs().max()) > 0:
+    if float(relief.height.abs().max()) > 0 and not training.watch.spent:
         small, height = _reduced(training, relief.height)
         chosen, compared = compare_with_flat(small, model, options, height)
         figures = {**figures, "validation_psnr_db": compared}
@@ -169,14 +170,7 @@ def _reduced(training: Training, height: Tensor) -> tuple[Training, Tensor]:
         return training, height
     size = (max(1, round(btf.height / factor)), max(1, round(btf.width / factor)))
     rows = rows[torch.linspace(0, len(rows) - 1, min(len(rows), _COMPARED_SAMPLES)).round().long()]
-    images, weights = [], []
-    for part in rows.split(max(1, 8_000_000 // (3 * btf.height * btf.width))):
-        valid = btf.valid(part).to(training.dtype)
-        weight = functional.adaptive_avg_pool2d(valid, size)
-        image = functional.adaptive_avg_pool2d(btf.images(part, training.dtype) * valid, size)
-        images.append(image / weight.clamp(min=1e-6))
-        weights.append(weight > 0.5)
-    small = Btf.from_tensors(torch.cat(images), btf.light[rows], btf.view[rows], torch.cat(weights))
+    small = averaged(btf, rows, size, training.dtype)
     used = torch.ones(len(rows), dtype=torch.bool)
     importance = None if training.importance is None else training.importance[rows]
     small_training = replace(training, btf=small, used=used, importance=importance)

@@ -11,6 +11,7 @@ from typing import Any
 from torchmat.errors import DataError, RangeError, check_known_keys, message
 from torchmat.fit import FitConfig, load_config
 from torchmat.fit.registry import AUTO, resolve_options
+from torchmat.report.tables import to_json
 from torchmat.text_file import read_toml
 
 _KEYS = ("data", "config", "out", "set")
@@ -33,18 +34,24 @@ class Job:
         """All keywords of `load_btf`."""
         return {**self.config.data, **self.read}
 
+    @property
+    def settled(self) -> FitConfig:
+        """The config whose [data] is how the images are read in fact; where decoded images are kept decides nothing."""
+        return self.config.read_as(self.read)
+
     def finished(self) -> dict[str, Any] | None:
         """Return the report of a result that is there already, of this data and by this config; else None."""
         try:
             report = json.loads((self.out / "report.json").read_text(encoding="utf-8"))
         except (OSError, ValueError):
             return None
-        config = self.config
-        wanted = {name: getattr(config, name) for name in ("seed", "holdout", "holdout_by", "tiles", "target")}
+        config = self.settled
+        wanted = {name: getattr(config, name) for name in ("seed", "holdout", "holdout_by", "tiles", "target", "data")}
         wanted["geometry"] = config.geometry if config.height_path is None else "given"
         chosen = bool(report.get("figures", {}).get("auto"))
         if config.model != AUTO:
             wanted |= {"model": config.model, "options": resolve_options(config.model, config.options)}
+        wanted = json.loads(to_json(wanted))  # as a report holds it
         same = chosen == (config.model == AUTO) and all(report.get(name) == value for name, value in wanted.items())
         source = report.get("source", {}).get("path", "")
         return report if same and Path(source).resolve() == self.data.resolve() else None

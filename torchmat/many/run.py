@@ -78,7 +78,7 @@ def fit_one(job: Job, pictures: bool = False) -> dict[str, Any]:
         check_target(job.out)
         height = None if job.config.height_path is None else load_height(job.config.height_path)
         btf = load_btf(job.data, **job.reading, progress=False)
-        result = fit(btf, job.config, geometry=height, progress=False)
+        result = fit(btf, job.settled, geometry=height, progress=False)
         write_fit(btf, result, job.out, pictures=pictures)
     except TorchmatError as error:
         return _row(job, FAILED, failed=str(error), seconds=time.perf_counter() - start)

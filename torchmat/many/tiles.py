@@ -71,7 +71,8 @@ def fit_by_tiles(
     """
     from torchmat.material_io import load_height
 
-    config = job.config if job.config.tile or job.config.memory_mb else replace(job.config, tile=USUAL_SIDE)
+    config = job.settled
+    config = config if config.tile or config.memory_mb else replace(config, tile=USUAL_SIDE)
     height = None if config.height_path is None else load_height(config.height_path)
     btf = load_btf(job.data, **job.reading, progress=show)
     with cluster(workers, scheduler) as client, tiles_fitted_by(_runner(client, job)):

@@ -50,8 +50,12 @@ def save_relief(
 
     `depth` "16" writes PNG codes, "float" EXR. `normal_gl` has green up the texture, `normal_dx` down; normals map
     -1..1 to the codes. `relief.json` states the height's range in texture widths. `companions` may write more.
+    Raises RangeError for values that are not finite, DataError when the folder cannot be written.
     """
     check_option("save_relief", "depth", depth, DEPTHS)
+    for name, planes in relief._asdict().items():
+        if planes is not None:
+            check_finite("save_relief", name, planes)
     target = Path(folder)
     check_target(target)
     low, high = float(relief.height.min()), float(relief.height.max())

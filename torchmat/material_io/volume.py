@@ -60,7 +60,7 @@ def read_volume(path: str | Path) -> ShadingMap:
         raise DataError(message(str(path), "the volume", "be readable", str(error), "Check the path.")) from error
     _check_codes(path, head, codes)
     planes = codes.reshape(head.slices, head.height, head.width, 3).transpose(0, 3, 1, 2)
-    slices = torch.from_numpy(np.ascontiguousarray(planes)).float() / head.levels
+    slices = torch.from_numpy(np.ascontiguousarray(planes, np.float32)) / head.levels
     brightest = slices[-1].double().mean().float().reshape(1)
     try:
         return _with_lambert(slices.flatten(0, 1), brightest, head.slices)

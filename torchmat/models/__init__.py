@@ -2,6 +2,7 @@
 
 from torchmat.models.base import Material
 from torchmat.models.blend import blend
+from torchmat.models.compilation import can_compile, compiled
 from torchmat.models.distribution import Distribution
 from torchmat.models.edit import add_part, drop_part, replace_map
 from torchmat.models.linear import Hsh, Lambert, Lptm, Ptm, Texture
@@ -18,5 +19,5 @@ MATERIALS: dict[str, type[Material]] = {
 
 __all__ = [
     "MATERIALS", "Distribution", "Hsh", "Lambert", "LocalPca", "Lptm", "Material", "Neural", "Pca", "PhongSrf", "Ptm",
-    "ShadingMap", "SphereImages", "Texture", "add_part", "blend", "drop_part", "replace_map",
+    "ShadingMap", "SphereImages", "Texture", "add_part", "blend", "can_compile", "compiled", "drop_part", "replace_map",
 ]

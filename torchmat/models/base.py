@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import inspect
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, ClassVar, Self
 
 import torch
@@ -66,6 +66,7 @@ class Material(Storable):
         self._check_shapes(specs)
         check_stored(self.name, stored or {}, specs, self.size)
         self.stored = {name: one for name, one in (stored or {}).items() if one != StoredAs()}
+        self._compiled: Callable[..., Tensor] | None = None  # `value` of other maps, by `compiled`
 
     def _check_cutout(self) -> None:
         if self.cutout is not None and self.tiles and not self.cutout.is_whole:
@@ -166,14 +167,19 @@ class Material(Storable):
     def _shade_flat(self, light: Tensor, view: Tensor) -> Tensor:
         above = (light[..., 2:3, :, :] > 0) & (view[..., 2:3, :, :] > 0)
         if bool(above.all()):
-            value = self.value(light, view).clamp(min=0)
+            value = self._evaluate(light, view).clamp(min=0)
             # A model that does not look at the view gives one picture for all of them.
             return value.expand(torch.broadcast_shapes(value.shape, above.shape)).contiguous()
         # Below the horizon the model sees the pole instead, where it is finite, so that the gradient is 0 and not NaN.
         pole = torch.zeros(3, 1, 1, dtype=light.dtype)
         pole[2] = 1
-        value = self.value(torch.where(above, light, pole), torch.where(above, view, pole))
+        value = self._evaluate(torch.where(above, light, pole), torch.where(above, view, pole))
         return torch.where(above, value.clamp(min=0), torch.zeros((), dtype=value.dtype))
+
+    def _evaluate(self, light: Tensor, view: Tensor) -> Tensor:
+        if self._compiled is None:
+            return self.value(light, view)
+        return self._compiled(dict(self.maps.items()), light, view)
 
     def _check_directions(self, light: Tensor, view: Tensor, size: tuple[int, int] | None = None) -> None:
         height, width = size or self.size

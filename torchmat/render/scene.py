@@ -14,7 +14,7 @@ from torch import Tensor
 from torchmat import colour
 from torchmat.errors import RangeError, message
 from torchmat.render.camera import Camera
-from torchmat.render.lights import DEFAULT_LIGHT, Light, as_light
+from torchmat.render.lights import DEFAULT_LIGHT, Light, as_light, unit
 from torchmat.render.mesh import Mesh, as_mesh
 from torchmat.render.mipmap import Shader
 from torchmat.render.objects import check_lights, reach, shade_visible
@@ -50,6 +50,7 @@ class Scene:
 
     def __post_init__(self) -> None:
         picture_size(self.size, self.repeat, self.rays)
+        unit("render", "view", self.view)
         if isinstance(self.mesh, str) and self.mesh == PATCH:
             step = 'Use "quad", the same flat sample as an object.'
             raise RangeError(message("Scene", "mesh", "be an object", "a patch has no camera", step))

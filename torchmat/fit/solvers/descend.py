@@ -16,6 +16,7 @@ from torch import Tensor
 
 from torchmat.fit.watch import BUDGET, Watch
 from torchmat.progress import progress
+from torchmat.repeatable import one_thread
 
 CONVERGED, STEP_LIMIT, NOT_FINITE, DIVERGED = "converged", "step limit", "not finite", "diverged"
 _PATIENCE = 25  # steps within which the lowest value must fall by the tolerance
@@ -26,7 +27,12 @@ _NOTHING = 1e-4  # of the first value: below, batches of noise-free data differ 
 _WARM, _END = 20, 0.03  # steps until the full rate; share of it at the end
 _BETAS = (0.9, 0.99)
 _MEMORY, _STEPS_A_CALL, _VALUES_A_CALL = 20, 4, 60  # of LBFGS: pairs that it keeps, and steps and values between looks
-_WALL = 1e30  # what stands for a value that is not finite
+_WALL = 1e3  # times the lowest value: what stands for one that is not finite
+# torch's LBFGS forgets a pair of step and change of gradient whose product is below 1e-10, and squares slopes along a
+# step. The objective is scaled so that the bound lies below what rounding leaves of the first value, squared, and no
+# square overflows: to this first value, or to this length of the first gradient where that is less.
+_FIRST_VALUE = {torch.float32: 1e10, torch.float64: 1e24}
+_FIRST_GRADIENT = {torch.float32: 1e7, torch.float64: 1e60}
 _RECOVERIES, _SHORTER = 3, 0.1  # of LBFGS after a step that is not finite, each with a shorter first step
 
 Objective = Callable[[Tensor | None], float]
@@ -187,24 +193,28 @@ def lbfgs(
 
     A value that is not finite is a wall to the line search. Where that leaves it stuck it goes on from the best
     parameters, its memory forgotten and its first step a tenth, at most three times; then the reason is "not finite".
-    It has converged when four steps lower the value, which must not be negative, by less than `tolerance` of it.
+    It has converged when four steps lower the value, which must not be negative, by less than `tolerance` of it. The
+    unit of the objective does not matter: the first step that is tried changes the parameters by `first_step` in all.
     """
     watch = watch or Watch()
     until = min(until, watch.limit)
-    best, finite = _Best(parameters, watch, made), True
+    best, finite, scale = _Best(parameters, watch, made), True, 0.0
 
     def closure() -> Tensor:
-        nonlocal finite
+        nonlocal finite, scale
         _clear(parameters)
         value = objective(None)
         good = best.look(value)
+        if good:
+            scale = scale or _scale_of(value, parameters)
+            good = _scaled(parameters, scale)
         finite = finite and good
         if watch.seconds >= until:
             raise _Spent
         if not good:  # a slope of 0 on the wall halves the bracket; NaN would end in NaN parameters
             for parameter in parameters:
                 parameter.grad = torch.zeros_like(parameter)
-        return torch.tensor(value if good else _WALL, dtype=torch.float64)
+        return torch.tensor(scale * (value if good else _WALL * best.found.value) if scale else 1.0, dtype=torch.float64)
 
     solver, recoveries = _new_lbfgs(parameters, first_step), 0
     for _ in progress(range(-(-steps // _STEPS_A_CALL)), "fitting", show=show):
@@ -225,6 +235,24 @@ def lbfgs(
             return best.end(CONVERGED)
         best.note()
     return best.end(STEP_LIMIT)
+
+
+def _scale_of(value: float, parameters: Sequence[Tensor]) -> float:
+    """Return what the objective is multiplied with, a power of 2, from its first value and gradient."""
+    kind = torch.float64 if all(parameter.dtype == torch.float64 for parameter in parameters) else torch.float32
+    with one_thread():
+        length = math.sqrt(sum(float(p.grad.double().square().sum()) for p in parameters if p.grad is not None))
+    if not value > 0 or not length > 0:
+        return 1.0
+    return 2.0 ** round(min(math.log2(_FIRST_VALUE[kind] / value), math.log2(_FIRST_GRADIENT[kind] / length)))
+
+
+def _scaled(parameters: Sequence[Tensor], scale: float) -> bool:
+    """Multiply gradients with the scale; return whether they stay finite."""
+    for parameter in parameters:
+        if parameter.grad is not None:
+            parameter.grad.mul_(scale)
+    return all(bool(torch.isfinite(p.grad).all()) for p in parameters if p.grad is not None)
 
 
 def _new_lbfgs(parameters: Sequence[Tensor], first_step: float) -> torch.optim.LBFGS:
