@@ -242,7 +242,7 @@ def test_the_unit_does_not_matter(scale):
 
 
 @pytest.mark.parametrize(("options", "says"), [
-    ({"lobes": -1}, r"lobes must lie in 0 \(automatic\) to 12; it is -1"), ({"lobes": 13}, "lobes must lie in"),
+    ({"lobes": -1}, "lobes must be at least 0 and finite; it is -1"), ({"lobes": 13}, r"lobes must lie in 0 \(automatic\) to 12; it is 13"),
     ({"lobes": 1.5}, "lobes must be a whole number"), ({"lobes": True}, "lobes must be a whole number"),
     ({"specular_size": 3}, "specular_size must lie in 4 to 1024; it is 3"), ({"specular_size": 1025}, "specular_size"),
     ({"effort": 0.0}, "effort must be positive and finite; it is 0"), ({"effort": -1.0}, "effort"),

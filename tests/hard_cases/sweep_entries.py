@@ -281,6 +281,7 @@ ENTRIES: dict[str, Entry | str] = {
         _look_up,
         exact.look_up(),
         (ANY, ANY),
+        value=1.2,  # just below 0 wraps to just below 1 and is rounded as that, which the terms do not know: measured 0.93
         scale="terms",
         gradient=None,
     ),

@@ -1,4 +1,4 @@
-"""Hard cases 1 to 3 and 8 to 12 for surfaces with a height: rays, shadow, recovery, and fits over a relief."""
+"""Hard cases 3 and 8 to 12 for surfaces with a height: rays, shadow, recovery, and fits over a relief; models are in the table."""
 
 from __future__ import annotations
 
@@ -7,8 +7,10 @@ import math
 import numpy as np
 import pytest
 import torch
-from fit.reference_scene import centres, relief_scene, waves
-from models.examples import CASES, make
+from fit.reference_scene import centres, relief_scene
+from hard_cases.cases_shading import bumps, shaded
+from hard_cases.hard_directions import graze
+from models.examples import make
 from support import all_pairs, assert_close, hemisphere, plausible_images
 
 import torchmat as tm
@@ -17,7 +19,6 @@ from torchmat.fit import FITTERS, predict, recover_geometry
 from torchmat.geometry import normals_from_slopes, poisson, slopes_from_height, soft_shadow, trace_view, visible
 from torchmat.geometry.relief import texel_centres
 
-every_model = pytest.mark.parametrize("name, options", CASES)
 OPTIONS = {
     "pca": {"components": 2}, "local_pca": {"clusters": 2, "components": 2},
     "distribution": {"lobes": 1, "fresnel": "yes", "rotation": "yes", "specular_size": 8, "effort": 0.02},
@@ -26,92 +27,9 @@ OPTIONS = {
 LIGHT, VIEW = all_pairs(hemisphere(), hemisphere(((0, 1), (30, 3), (60, 4))))
 
 
-def graze(azimuth: float, height: float) -> tuple[float, float, float]:
-    """A unit direction `height` above the plane."""
-    flat = math.sqrt(1 - height * height)
-    return flat * math.cos(azimuth), flat * math.sin(azimuth), height
-
-
 def direction(polar_deg: float, azimuth_deg: float = 0.0, dtype=torch.float64) -> torch.Tensor:
     """A unit direction [3, 1, 1] by its angles."""
     return torch.tensor(graze(math.radians(azimuth_deg), math.cos(math.radians(polar_deg))), dtype=dtype)[:, None, None]
-
-
-def bumps(rows: int, columns: int, depth: float = 0.1, dtype=torch.float64) -> torch.Tensor:
-    """A smooth tileable height [1, H, W]."""
-    return torch.from_numpy(depth * waves(rows, columns, 5, 4, 2)[0]).to(dtype)[None]
-
-
-def on_bumps(name: str, options: dict, dtype, rows: int = 6, columns: int = 7, depth: float = 0.1) -> tm.Material:
-    ambient = torch.full((3, rows, columns), 0.02, dtype=dtype)
-    return make(name, options, rows, columns, dtype).on_relief(bumps(rows, columns, depth, dtype), ambient)
-
-
-def shaded(material: tm.Material, light: torch.Tensor, view: torch.Tensor) -> tuple[torch.Tensor, list[torch.Tensor]]:
-    """Shade; assert that value and gradient are finite; return the value and the directions that hold gradients."""
-    leaves = [given.clone().requires_grad_() for given in (light, view)]
-    value = material.shade(*leaves)
-    assert bool(torch.isfinite(value).all()) and bool((value >= 0).all())
-    value.sum().backward()
-    for label, leaf in (("light", leaves[0]), ("view", leaves[1]), *material.maps.items()):
-        assert leaf.grad is None or bool(torch.isfinite(leaf.grad).all()), f"the gradient of {label} is not finite"
-    return value.detach(), leaves
-
-
-PAIRS = {
-    "all_along_the_normal": ((0, 0, 1), (0, 0, 1)),
-    "light_is_view": (graze(0.3, 0.6), graze(0.3, 0.6)),
-    "both_at_the_horizon": (graze(0.2, 1e-4), graze(0.2, 1e-4)),
-    "at_the_horizon_opposite": (graze(0.2, 1e-4), graze(0.2 + math.pi, 1e-4)),
-    "a_rounding_error_above_it": ((1.0, 0.0, 6.1e-17), (-1.0, 0.0, 6.1e-17)),
-    "nearly_the_pole": ((1e-20, -1e-20, 1.0), (3e-25, 0.0, 1.0)),
-}
-
-
-@every_model
-def test_1_2_value_and_gradient_are_finite_on_a_relief(name, options, dtype):
-    material = on_bumps(name, options, dtype)
-    for pair in PAIRS.values():
-        light, view = (torch.tensor(given, dtype=dtype)[:, None, None] for given in pair)
-        shaded(material, light, view)
-
-
-@every_model
-@pytest.mark.parametrize("pair", ["both_at_the_horizon", "a_rounding_error_above_it"])
-def test_1_2_directions_a_texel_are_finite_too(name, options, pair):
-    light, view = (torch.tensor(given)[:, None, None].expand(3, 6, 7) for given in PAIRS[pair])
-    shaded(on_bumps(name, options, torch.float32), light, view)
-
-
-@every_model
-def test_1_light_below_the_surface_is_exactly_0_with_its_ambient(name, options, dtype):
-    below = torch.tensor([(0, 0, -1), graze(0.4, -0.5), graze(0.4, -1e-6), (1.0, 0.0, 0.0)], dtype=dtype)
-    light = below[:, :, None, None]
-    for view in (-light, direction(30, 20, dtype)):
-        material = on_bumps(name, options, dtype)
-        value, leaves = shaded(material, light, view)
-        assert not bool(value.any())
-        gradients = [leaf.grad for leaf in (*leaves, *material.maps.values()) if leaf.grad is not None]
-        assert not any(bool(gradient.any()) for gradient in gradients)
-
-
-@every_model
-def test_1_one_dark_light_among_others_is_dark_alone(name, options, dtype):
-    lights = torch.stack([direction(30, 0, dtype), -direction(30, 0, dtype), direction(20, 90, dtype)])
-    value, _ = shaded(on_bumps(name, options, dtype), lights, direction(40, 10, dtype))
-    assert not bool(value[1].any())
-    assert float(value[0].max()) > 0 and float(value[2].max()) > 0
-
-
-@every_model
-@pytest.mark.parametrize("polar", [80.0, 89.9])
-def test_3_flanks_tilted_by_nearly_90_degrees_are_finite(name, options, polar):
-    dtype = torch.float32
-    # One texel that rises over its width of 1/8 at that angle, as far as heights may reach.
-    height = torch.zeros(1, 8, 8, dtype=dtype)
-    height[0, 4, 3] = min(math.tan(math.radians(polar)) / 8, 9.9)
-    material = make(name, options, 8, 8, dtype).on_relief(height)
-    shaded(material, torch.stack([direction(0, 15, dtype), direction(60, 15, dtype)]), direction(50, 200, dtype))
 
 
 @pytest.mark.parametrize("slope", [math.tan(math.radians(89.9)), 1e8])
@@ -321,24 +239,6 @@ def test_11_no_view_near_the_normal_is_refused():
         tm.fit(btf, "lambert", geometry="recover")
 
 
-@every_model
-@pytest.mark.parametrize("shift", [(0, 5), (4, 7)])
-def test_12_a_shifted_deep_relief_gives_the_shifted_picture(name, options, shift):
-    """At 75 degrees rays leave the tile and come in on the other side."""
-    plain = make(name, options, 12, 16).on_relief(bumps(12, 16, 0.4), torch.rand(3, 12, 16, dtype=torch.float64))
-    maps = {
-        spec.name: value.roll(shift, (-2, -1)) if spec.per_texel and not spec.constant else value
-        for spec, value in ((spec, plain.maps[spec.name].detach()) for spec in plain.specs())
-    }
-    moved = plain.with_maps(**maps)
-    light, view = direction(70, 130), torch.stack([direction(75, 0), direction(75, 215)])
-    with torch.no_grad():
-        expected = plain.shade(light, view).roll(shift, (-2, -1))
-        assert_close(moved.shade(light, view), expected, 1e-9)
-        flat = plain.surface().shade(light, view).roll(shift, (-2, -1))
-    assert float((flat - expected).abs().max()) > 0.01
-
-
 def test_12_an_open_border_does_not_wrap():
     height = bumps(12, 16, 0.4)
     view = direction(75, 0)
@@ -374,12 +274,3 @@ def test_12_a_step_of_the_full_range_hides_and_shades_what_lies_behind_it(wall, 
     assert float(hits.height[0, 8, behind].min()) > 0.01
     gap = (hits.uv[0, 8] - texel_centres(16, 16, dtype)[0, 8]) - hits.height[0, 8] * math.tan(math.radians(75))
     assert float(gap.abs().max()) < 1e-5
-
-
-@pytest.mark.parametrize("model", FITTERS)
-def test_12_a_fit_over_a_step_of_the_full_range(model):
-    light, view = all_pairs(hemisphere(((20, 3), (60, 4))), hemisphere(((0, 1), (75, 6))))
-    height = torch.zeros(1, 12, 12)
-    height[..., 4:7] = 0.3
-    btf = Btf.from_tensors(plausible_images(light, view, 12, 12).astype(np.float32), light, view)
-    checked(btf, model, height)

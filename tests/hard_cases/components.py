@@ -1,0 +1,92 @@
+"""What the hard cases are run on: every registered model, solver, reader and writer, and the renderer, found anew at each call."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from models.examples import EXAMPLE_OPTIONS
+
+from torchmat.fit import by_descent
+from torchmat.fit.registry import SOLVERS
+from torchmat.models import MATERIALS
+from torchmat.render.scene import PATCH
+from torchmat.render.shapes import SHAPES
+
+
+class Component(NamedTuple):
+    """One thing that the cases of its kind are run on; `given` is what their checks need to know of it."""
+
+    kind: str
+    name: str
+    given: Any
+
+
+class Room(NamedTuple):
+    """Where a check may write, and whether it has the time for all its inputs (the long form) or for a few of them."""
+
+    folder: Path
+    thorough: bool = False
+
+
+class NotHere(Exception):
+    """What a check needs is not permitted or not there on this machine."""
+
+
+Check = Callable[[Any, Room], float | None]
+
+
+def _said(value: object) -> str:
+    return "+".join(map(str, value)) or "none" if isinstance(value, list) else str(value)
+
+
+def models() -> list[Component]:
+    """Return every registered model in each variant of its examples; one that has none there, as it is by default."""
+    return [
+        Component("model", "-".join([name, *map(_said, options.values())]), (name, options))
+        for name in MATERIALS for options in EXAMPLE_OPTIONS.get(name, [{}])
+    ]
+
+
+def solvers() -> list[Component]:
+    """Return every model with each of its solvers: what fits."""
+    return [Component("solver", f"{model}-{solver}", (model, solver)) for model, several in SOLVERS.items() for solver in several]
+
+
+def readers() -> list[Component]:
+    """Return everything that reads a file."""
+    from hard_cases.fuzz_readers import READERS
+
+    return [Component("reader", reader.name, reader) for reader in READERS]
+
+
+def writers() -> list[Component]:
+    """Return everything that writes files: the material folder in each storage, and all that has a form of its own."""
+    from hard_cases.writers import writers as known
+
+    return [Component("writer", writer.name, writer) for writer in known()]
+
+
+def renderers() -> list[Component]:
+    """Return the renderer with each shape that it makes."""
+    return [Component("renderer", shape, shape) for shape in (PATCH, *SHAPES)]
+
+
+KINDS: dict[str, Callable[[], list[Component]]] = {
+    "model": models, "solver": solvers, "reader": readers, "writer": writers, "renderer": renderers,
+}
+
+_FEW_STEPS, _MORE_STEPS = {"adam": 6, "minibatch": 12, "lbfgs": 4}, {"adam": 60, "minibatch": 120, "lbfgs": 30}
+
+
+@contextmanager
+def steps_for(room: Room) -> Iterator[None]:
+    """Let solvers that step take few steps, more when the room has time: what breaks, breaks early."""
+    before = dict(by_descent._STEPS)
+    by_descent._STEPS.update(_MORE_STEPS if room.thorough else _FEW_STEPS)
+    try:
+        yield
+    finally:
+        by_descent._STEPS.update(before)

@@ -1,0 +1,60 @@
+"""Directions where formulas break, and pairs of them as light and view."""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from models.examples import per_image
+from torch import Tensor
+
+
+def graze(azimuth: float, height: float) -> tuple[float, float, float]:
+    """Return a unit direction `height` above the plane."""
+    flat = math.sqrt(1 - height * height)
+    return flat * math.cos(azimuth), flat * math.sin(azimuth), height
+
+
+POLE = (0.0, 0.0, 1.0)
+PAIRS = {
+    "light and view are the normal": (POLE, POLE),
+    "light is view": (graze(0.3, 0.6), graze(0.3, 0.6)),
+    "mirror pair": (graze(0.3, 0.6), graze(0.3 + math.pi, 0.6)),
+    "light at normal, view at horizon": (POLE, graze(1.0, 1e-4)),
+    "both at horizon, same side": (graze(0.2, 1e-4), graze(0.2, 1e-4)),
+    "both at horizon, across": (graze(0.2, 1e-4), graze(0.2 + math.pi / 2, 1e-4)),
+    "both at horizon, opposite": (graze(0.2, 1e-4), graze(0.2 + math.pi, 1e-4)),
+    "both a rounding error above the horizon": ((1.0, 0.0, 6.1e-17), (-1.0, 0.0, 6.1e-17)),
+    "light lower than view at horizon": (graze(0.0, 1e-7), graze(math.pi, 1e-4)),
+    "nearly the pole": ((1e-20, -1e-20, 1.0), (3e-25, 0.0, 1.0)),
+    "negative zeros": ((-0.0, -0.0, 1.0), (-0.0, 0.0, 1.0)),
+}
+
+
+def rows_of(pairs, dtype: torch.dtype = torch.float64) -> tuple[Tensor, Tensor]:
+    """Return pairs of directions as light and view [n, 3, 1, 1]."""
+    both = torch.tensor(list(pairs), dtype=dtype)
+    return per_image(both[:, 0]), per_image(both[:, 1])
+
+
+def parabolic(x: float, y: float) -> tuple[float, float, float]:
+    """Return the direction at a place of the parabolic disc."""
+    squared = x * x + y * y
+    return 2 * x / (1 + squared), 2 * y / (1 + squared), (1 - squared) / (1 + squared)
+
+
+def half_pairs() -> list[tuple]:
+    """Return pairs whose half vector is the centre, a texel's edge or the rim of a parabolic map of any even size."""
+    found = [(graze(a, 0.7), graze(a + math.pi, 0.7)) for a in (0.0, 0.4, 2.0, math.pi)]
+    edges = [(0.0, 1 / 3), (1 / 3, 1 / 3), (-1 / 3, 2 / 3), (0.5, 0.0), (-0.25, -0.5), (2 / 3, 0.0)]
+    found += [(parabolic(x, y),) * 2 for x, y in edges]  # light and view along it
+    return found + [(graze(a, 1e-6), graze(a + 0.4, 1e-6)) for a in (0.0, 1.0, math.pi / 2, 3.0)]
+
+
+HARD = torch.tensor([[0, 0, 1.0], [0.6, 0, 0.8], [-0.6, 0, 0.8], [1, 0, 1e-4], [-1, 0, 1e-4], [0, 0.8, 0.6]])
+
+
+def hard_grid(dtype: torch.dtype) -> tuple[Tensor, Tensor]:
+    """Return every pair of a few hard directions [36, 3, 1, 1]."""
+    rows = HARD.to(dtype)
+    return per_image(rows.repeat(len(rows), 1)), per_image(rows.repeat_interleave(len(rows), 0))
