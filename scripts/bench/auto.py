@@ -27,7 +27,7 @@ from torchmat.models import Distribution, Material
 from torchmat.models.storage import StoredAs
 
 PSNR = 25.0
-DATA = ("real wallpaper", "stones", "wallpaper", "disk", "leather")
+DATA = ("real wallpaper", "stones", "wallpaper", "disk")
 # Searched exhaustively, and the parts of the distribution material whose every combination is fitted.
 SEARCHED = {
     "real wallpaper": (), "stones": ("mask", "normal"),
