@@ -27,7 +27,7 @@ MODELS: dict[str, dict[str, Any]] = {
     "sphere_images": {}, "shading_map": {}, "local_pca": {},
     "distribution": {"lobes": 1, "fresnel": "no", "rotation": "no", "effort": 0.05, "memory_mb": 3000},
 }
-BONN_MODELS = {**MODELS, "lptm": {}, "neural": {"seconds": 120}}
+BONN_MODELS = {**MODELS, "lptm": {}, "neural": {"seconds": 60}}
 # 1024 x 1024 within a bound, by tiles; the distribution has one already.
 LARGE_MODELS = {name: {**MODELS[name], "memory_mb": 800} for name in ("ptm", "phong_srf", "pca", "shading_map")}
 _HELD_OUT = 48  # samples that the error is measured on
@@ -99,8 +99,11 @@ def _slope(size: list[float], cost: list[float]) -> float:
 def scale(
     parts: tuple[str, ...] = PARTS, models: tuple[str, ...] | None = None, limit: float = 1500
 ) -> list[dict[str, Any]]:
-    """Measure the parts asked for; rows are saved as they come, those of other parts are kept."""
-    rows = [row for row in _known() if row["part"] not in parts and not row["part"].startswith("exponent")]
+    """Measure the parts asked for; rows are saved as they come, those of other parts and models are kept."""
+    def asked(row: dict[str, Any]) -> bool:
+        return row["part"] in parts and (models is None or row["model"] in models)
+
+    rows = [row for row in _known() if not asked(row) and not row["part"].startswith("exponent")]
 
     def run(part: str, side: int, lights: int, views: int, chosen: dict[str, dict[str, Any]]) -> None:
         with large_btf(side, lights, views) as folder:

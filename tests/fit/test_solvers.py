@@ -242,6 +242,19 @@ def test_a_multiplicative_pass_brings_any_scale_to_the_data():
 def test_a_multiplicative_pass_leaves_what_no_sample_sees():
     logarithm = torch.tensor([-3.0, -3.0])
     matrix = torch.tensor([[1.0, 0.0], [1.0, 0.0]])
-    sweep([logarithm], lambda rows: matrix[rows] @ logarithm.exp(), lambda rows: (torch.ones(len(rows)), torch.ones(len(rows))),
-          torch.arange(2).split(1))
+    for _ in range(4):  # each leaves a hundredth of what is missing: the prior
+        sweep([logarithm], lambda rows: matrix[rows] @ logarithm.exp(), lambda rows: (torch.ones(len(rows)), torch.ones(len(rows))),
+              torch.arange(2).split(1))
     assert_close(logarithm, torch.tensor([0.0, -3.0]), 1e-6)
+
+
+def test_a_multiplicative_pass_leaves_an_entry_that_hardly_any_sample_sees():
+    table = torch.zeros(3)  # logarithms
+    seen = torch.tensor([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [1.0, 0.0, 1e-4]])
+    values = torch.tensor([2.0, 2.0, 50.0])  # the last is an outlier, which the third entry sees by a ten thousandth
+
+    def observed(batch):
+        return values[batch], torch.ones(len(batch))
+
+    sweep([table], lambda batch: seen[batch] @ table.exp(), observed, [torch.arange(3)])
+    assert abs(float(table[2])) < 0.5 and float(table[1].exp()) == pytest.approx(2, rel=0.02)

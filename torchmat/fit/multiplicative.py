@@ -13,6 +13,9 @@ import torch
 from torch import Tensor
 
 _DARKER, _BRIGHTER = -4.0, 8.0  # the most that one pass changes, as logarithms
+# Of the mean pull of a map's entries: what both sides of a ratio have beside the samples. An entry that hardly any sample
+# sees is left where it is; what the few say of it is noise, and other texels may see it in full.
+_PRIOR = 0.01
 
 
 def sweep(
@@ -39,5 +42,7 @@ def sweep(
     for one, up, down in zip(logarithms, above, below, strict=True):
         one.requires_grad_(False)
         known = (up > 0) & (down > 0)
+        prior = _PRIOR * float(torch.minimum(up, down)[known].mean()) if bool(known.any()) else 0.0
+        up, down = up + prior, down + prior
         ratio = torch.where(known, up, 1.0).log() - torch.where(known, down, 1.0).log()
         one += ratio.clamp(_DARKER, _BRIGHTER)
