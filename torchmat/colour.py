@@ -75,7 +75,7 @@ def ciede2000(first: Tensor, second: Tensor) -> Tensor:
     stretch = 1.5 - 0.5 * _vivid((_chroma(a_1, b_1) + _chroma(a_2, b_2)) / 2)
     a_1, a_2 = a_1 * stretch, a_2 * stretch
     chroma_1, chroma_2 = _chroma(a_1, b_1), _chroma(a_2, b_2)
-    grey = chroma_1 * chroma_2 == 0
+    grey = (chroma_1 == 0) | (chroma_2 == 0)  # their product would underflow to 0 where neither is
     hue_1, hue_2 = _hue(a_1, b_1), _hue(a_2, b_2)
 
     turn = hue_2 - hue_1

@@ -19,7 +19,8 @@ def compiled(material: Material) -> Material:
     The first picture of each size waits 5 to 20 seconds for the compiler; from then on a picture takes a half to a
     twelfth of the time, where the model does more than a matrix product. Values differ from those of the plain material
     by rounding, and gradients pass. The maps are shared with `material`; what is made from the result by `with_maps` and
-    the like is plain again. Where `can_compile` is false, `material` itself is returned.
+    the like is plain again. torch keeps eight such programs in a process - of models, sizes, with and without gradients -
+    and shades plainly beyond; ``torch._dynamo.reset()`` forgets them. Where `can_compile` is false, `material` itself is returned.
     """
     if not can_compile():
         return material
