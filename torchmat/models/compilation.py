@@ -16,10 +16,11 @@ from torchmat.models.base import Material
 def compiled(material: Material) -> Material:
     """Return `material` with its shading compiled by ``torch.compile``: for many pictures of one size.
 
-    The first picture of each size waits 5 to 20 seconds for the compiler; from then on a picture takes a half to a
-    twelfth of the time, where the model does more than a matrix product. Values differ from those of the plain material
-    by rounding, and gradients pass. The maps are shared with `material`; what is made from the result by `with_maps` and
-    the like is plain again. torch keeps eight such programs in a process - of models, sizes, with and without gradients -
+    The first picture of each size waits up to 20 seconds for the compiler; from then on `lambert`, and `hsh` and
+    `phong_srf` with directions per pixel, take a third to a quarter of the time. Where matrix products and look-ups take
+    it, as in `distribution`, nothing is gained. Values differ from those of the plain material
+    by rounding, and gradients pass. The maps are shared with `material`; what is made from the result by `with_maps`
+    and the like is plain again. torch keeps eight such programs in a process - of models, sizes, with and without gradients -
     and shades plainly beyond; ``torch._dynamo.reset()`` forgets them. Where `can_compile` is false, `material` itself is returned.
     """
     if not can_compile():
