@@ -17,9 +17,10 @@ from support import all_pairs, hemisphere
 import torchmat as tm
 from torchmat import Btf, FitError, RangeError
 from torchmat.fit import recover_geometry
+from torchmat.fit.reasons import BUDGET
 from torchmat.fit.recover import recover_relief
 from torchmat.fit.training import make_training
-from torchmat.fit.watch import BUDGET, Watch
+from torchmat.fit.watch import Watch
 
 # 28 samples of 24 x 100 texels: longer than the 96 that views are compared at.
 LONG = {

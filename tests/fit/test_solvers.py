@@ -9,8 +9,9 @@ import torch
 from support import assert_close
 
 from torchmat.fit.multiplicative import sweep
-from torchmat.fit.solvers import CONVERGED, DIVERGED, NOT_FINITE, STEP_LIMIT, adam, lbfgs, minibatch
-from torchmat.fit.watch import BUDGET, Watch
+from torchmat.fit.reasons import BUDGET, CONVERGED, DIVERGED, NOT_FINITE, STEP_LIMIT
+from torchmat.fit.solvers import adam, lbfgs, minibatch
+from torchmat.fit.watch import Watch
 
 NAMED = {CONVERGED, STEP_LIMIT, NOT_FINITE, DIVERGED, BUDGET}
 

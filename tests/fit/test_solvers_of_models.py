@@ -11,11 +11,10 @@ import torchmat as tm
 from torchmat import Btf, RangeError
 from torchmat.fit import FITTERS, default_options
 from torchmat.fit.by_descent import Objective
+from torchmat.fit.reasons import BUDGET, CONVERGED, STEP_LIMIT
 from torchmat.fit.registry import SOLVERS
-from torchmat.fit.solvers import CONVERGED, STEP_LIMIT
 from torchmat.fit.solvers.unbounded import Unbounded
 from torchmat.fit.training import make_training
-from torchmat.fit.watch import BUDGET
 from torchmat.models.bases import BASES
 from torchmat.models.lobes import LOBES
 from torchmat.report.compare import parse_model

@@ -8,16 +8,17 @@ from unittest import mock
 
 import numpy as np
 import torch
+from brdf.directions import HARD_PAIRS, graze
 from hard_cases.cases_shading import FULL, digits_right
 from hard_cases.components import Room, steps_for
-from hard_cases.hard_directions import PAIRS, graze, half_pairs
+from hard_cases.hard_directions import half_pairs
 from support import all_pairs, assert_close, hemisphere, plausible_images
 
 import torchmat as tm
 from torchmat import Btf
 from torchmat.btf.btf import CLIPPED, summarise
 from torchmat.btf.decode import Decoder
-from torchmat.fit import by_descent, levenberg_marquardt, predict, solvers, watch
+from torchmat.fit import by_descent, predict, reasons
 from torchmat.fit.by_descent import DESCENTS
 from torchmat.fit.registry import SOLVERS
 
@@ -26,10 +27,7 @@ LIGHT, VIEW = all_pairs(LIGHTS, hemisphere(((0, 1), (30, 2), (60, 3))))
 # Closed forms over texels by themselves: the number of unknowns of each. In phong_srf the texels share the lobe.
 UNKNOWNS = {"texture": 1, "lambert": 3, "ptm": 6, "lptm": 6, "hsh": 9, "phong_srf": 3}
 # The reasons that solvers give, by the constants that name them.
-NAMED = {
-    value for module in (levenberg_marquardt, solvers, watch) for name, value in vars(module).items()
-    if name.isupper() and isinstance(value, str)
-}
+NAMED = {value for name, value in vars(reasons).items() if name.isupper()}
 Road = tuple[str, str]
 
 
@@ -96,7 +94,7 @@ def _among_ordinary(pairs: list) -> Btf:
 
 def hard_pairs(given: Road, room: Room) -> None:
     """Case 1: samples at equal, mirrored and opposite directions and at the horizon among the others."""
-    fitted(_among_ordinary([pair for pair in PAIRS.values() if min(pair[0][2], pair[1][2]) > 1e-12]), given, room)
+    fitted(_among_ordinary([pair for pair in HARD_PAIRS.values() if min(pair[0][2], pair[1][2]) > 1e-12]), given, room)
 
 
 def all_grazing(given: Road, room: Room) -> None:
@@ -131,7 +129,7 @@ def ulp_from_unit(given: Road, room: Room) -> None:
     """Case 6: directions one ulp too long or too short among the samples."""
     eps = np.finfo(np.float32).eps
     longer = [(tuple(s * x for x in light), tuple(s * x for x in view)) for s in (1 + eps, 1 - eps)
-              for light, view in (PAIRS["light and view are the normal"], PAIRS["light is view"], PAIRS["mirror pair"])]
+              for light, view in (HARD_PAIRS["light_and_view_are_the_normal"], HARD_PAIRS["light_is_view"], HARD_PAIRS["mirror_pair"])]
     fitted(_among_ordinary(longer), given, room)
 
 

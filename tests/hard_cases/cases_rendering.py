@@ -7,9 +7,9 @@ from collections.abc import Iterator
 
 import pytest
 import torch
+from brdf.directions import graze
 from hard_cases.cases_shading import FULL, bumps
 from hard_cases.components import Component, Room, models
-from hard_cases.hard_directions import graze
 from models.examples import make, make_maps, specs_of
 from render.mesh_files import assert_frames_hold
 from torch import Tensor

@@ -7,8 +7,9 @@ import math
 import pytest
 import torch
 from fit.reference_scene import waves
+from brdf.directions import HARD_PAIRS, POLE, graze
 from hard_cases.components import Room
-from hard_cases.hard_directions import PAIRS, POLE, graze, half_pairs, hard_grid, rows_of
+from hard_cases.hard_directions import half_pairs, hard_grid, rows_of
 from hard_cases.sweep_models import twin
 from models import test_contract as contract
 from models.examples import directions, make, make_maps, per_image, specs_of
@@ -68,7 +69,7 @@ def on_bumps(given: Variant, dtype: torch.dtype) -> Material:
 def equal_and_opposite(given: Variant, room: Room) -> float:
     """Case 1, flat and on a relief; returns the digits that float32 keeps there."""
     for dtype in DTYPES:
-        light, view = rows_of(PAIRS.values(), dtype)
+        light, view = rows_of(HARD_PAIRS.values(), dtype)
         dark = torch.tensor([POLE, (1.0, 0.0, 0.0), graze(0.4, 0.5), graze(0.4, -1e-6)], dtype=dtype)[:, :, None, None]
         for made in (lambda: make(*given, 2, 2, dtype), lambda: on_bumps(given, dtype)):
             shaded(made(), light, view)
@@ -77,10 +78,10 @@ def equal_and_opposite(given: Variant, room: Room) -> float:
             assert not bool(value.any()), "light opposite to the view is not dark"
             slopes = [leaf.grad for leaf in (*leaves, *material.maps.values()) if leaf.grad is not None]
             assert not any(bool(slope.any()) for slope in slopes), "a gradient below the surface is not 0"
-    for pair in ("both at horizon, same side", "both a rounding error above the horizon"):
-        texels = (torch.tensor(one)[:, None, None].expand(3, 6, 7) for one in PAIRS[pair])
+    for pair in ("both_at_horizon_same_side", "both_a_rounding_error_above_the_horizon"):
+        texels = (torch.tensor(one)[:, None, None].expand(3, 6, 7) for one in HARD_PAIRS[pair])
         shaded(on_bumps(given, torch.float32), *texels)
-    return single_and_double(given, *rows_of(PAIRS.values()))
+    return single_and_double(given, *rows_of(HARD_PAIRS.values()))
 
 
 def one_dark_light(given: Variant, room: Room) -> None:
@@ -117,7 +118,7 @@ def steep(given: Variant, room: Room) -> None:
         material = make(*given, 2, 2, dtype)
         if "normal" in material.maps:
             rim = torch.tensor(graze(0.7, math.cos(math.radians(89.9))), dtype=dtype)[:, None, None].expand(3, 2, 2)
-            shaded(material.with_maps(normal=rim.clone()), *rows_of(PAIRS.values(), dtype))
+            shaded(material.with_maps(normal=rim.clone()), *rows_of(HARD_PAIRS.values(), dtype))
 
 
 def half_vectors(given: Variant, room: Room) -> float:
@@ -157,7 +158,7 @@ def full_turn(given: Variant, room: Room) -> float:
 def ulp_from_unit(given: Variant, room: Room) -> float:
     """Case 6: directions one ulp too long or too short, where a cosine leaves -1..1; returns the digits that are kept."""
     least = FULL
-    pairs = [PAIRS["light and view are the normal"], PAIRS["light is view"], PAIRS["mirror pair"], (POLE, graze(0.3, 0.6))]
+    pairs = [HARD_PAIRS["light_and_view_are_the_normal"], HARD_PAIRS["light_is_view"], HARD_PAIRS["mirror_pair"], (POLE, graze(0.3, 0.6))]
     for dtype in DTYPES:
         light, view = rows_of(pairs, dtype)
         wanted, _ = shaded(make(*given, 2, 2, dtype), light, view)

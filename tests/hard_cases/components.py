@@ -38,6 +38,18 @@ class NotHere(Exception):
 Check = Callable[[Any, Room], float | None]
 
 
+def outcome(check: Callable[[], float | None]) -> dict[str, Any]:
+    """Run a check; return its figure, whether it passed (None: what it needs is not here), and why not."""
+    try:
+        return {"figure": check(), "passed": True, "note": ""}
+    except NotHere as missing:
+        return {"figure": None, "passed": None, "note": str(missing)}
+    except BaseException as error:  # pytest's own failures are no Exceptions
+        if isinstance(error, KeyboardInterrupt):
+            raise
+        return {"figure": None, "passed": False, "note": f"{type(error).__name__}: {error}"[:600]}
+
+
 def _said(value: object) -> str:
     return "+".join(map(str, value)) or "none" if isinstance(value, list) else str(value)
 

@@ -1,34 +1,13 @@
-"""Directions where formulas break, and pairs of them as light and view."""
+"""Directions where formulas break, as light and view: beside those of `brdf.directions`."""
 
 from __future__ import annotations
 
 import math
 
 import torch
+from brdf.directions import graze
 from models.examples import per_image
 from torch import Tensor
-
-
-def graze(azimuth: float, height: float) -> tuple[float, float, float]:
-    """Return a unit direction `height` above the plane."""
-    flat = math.sqrt(1 - height * height)
-    return flat * math.cos(azimuth), flat * math.sin(azimuth), height
-
-
-POLE = (0.0, 0.0, 1.0)
-PAIRS = {
-    "light and view are the normal": (POLE, POLE),
-    "light is view": (graze(0.3, 0.6), graze(0.3, 0.6)),
-    "mirror pair": (graze(0.3, 0.6), graze(0.3 + math.pi, 0.6)),
-    "light at normal, view at horizon": (POLE, graze(1.0, 1e-4)),
-    "both at horizon, same side": (graze(0.2, 1e-4), graze(0.2, 1e-4)),
-    "both at horizon, across": (graze(0.2, 1e-4), graze(0.2 + math.pi / 2, 1e-4)),
-    "both at horizon, opposite": (graze(0.2, 1e-4), graze(0.2 + math.pi, 1e-4)),
-    "both a rounding error above the horizon": ((1.0, 0.0, 6.1e-17), (-1.0, 0.0, 6.1e-17)),
-    "light lower than view at horizon": (graze(0.0, 1e-7), graze(math.pi, 1e-4)),
-    "nearly the pole": ((1e-20, -1e-20, 1.0), (3e-25, 0.0, 1.0)),
-    "negative zeros": ((-0.0, -0.0, 1.0), (-0.0, 0.0, 1.0)),
-}
 
 
 def rows_of(pairs, dtype: torch.dtype = torch.float64) -> tuple[Tensor, Tensor]:

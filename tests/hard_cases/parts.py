@@ -14,7 +14,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import NamedTuple
 
-from hard_cases.components import NotHere, Room
+from hard_cases.components import Room, outcome
 
 
 class Settings(NamedTuple):
@@ -126,19 +126,11 @@ def disks(settings: Settings) -> Rows:
 
 
 def _tried(case: str, component: str, count: int, act: Callable[[Room], int | None]) -> dict:
-    figure, passed, note = None, True, ""
     with _folder() as folder:
-        try:
-            figure = act(Room(folder))
-        except NotHere as missing:
-            passed, note = None, str(missing)
-        except BaseException as error:  # pytest's own failures are no Exceptions
-            if isinstance(error, KeyboardInterrupt):
-                raise
-            passed, note = False, f"{type(error).__name__}: {error}"[:600]
-    if figure is not None:
-        note = f"{figure} of {count} writes were stopped"
-    return {"case": case, "component": component, "count": count, "passed": passed, "figure": figure, "note": note}
+        found = outcome(lambda: act(Room(folder)))
+    if found["figure"] is not None:
+        found["note"] = f"{found['figure']} of {count} writes were stopped"
+    return {"case": case, "component": component, "count": count, **found}
 
 
 def cache_on_a_full_disk(room: Room, kilobytes: range) -> int:

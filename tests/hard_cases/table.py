@@ -13,7 +13,7 @@ from hard_cases import cases_files as files
 from hard_cases import cases_fitting as fitting
 from hard_cases import cases_rendering as rendering
 from hard_cases import cases_shading as shading
-from hard_cases.components import KINDS, Check, Component, NotHere, Room
+from hard_cases.components import KINDS, Check, Component, Room, outcome
 
 TITLES = {
     1: "equal, opposite and grazing directions",
@@ -165,19 +165,9 @@ def entries() -> Iterator[Entry]:
 
 def measured(entry: Entry, room: Room) -> dict:
     """Run one entry; return what the long form reports of it, whatever happens."""
-    figure, passed, note = None, True, ""
-    try:
-        figure = entry.row.check(entry.component.given, room)
-    except NotHere as error:
-        passed, note = None, str(error)
-    except BaseException as error:  # pytest's own failures are no Exceptions
-        if isinstance(error, KeyboardInterrupt):
-            raise
-        passed, note = False, f"{type(error).__name__}: {error}"[:600]
-    return {
-        "case": entry.case, "kind": entry.component.kind, "component": entry.component.name, "passed": passed,
-        "figure": figure, "unit": entry.row.figure, "note": note,
-    }
+    found = outcome(lambda: entry.row.check(entry.component.given, room))
+    named = {"case": entry.case, "kind": entry.component.kind, "component": entry.component.name}
+    return {**named, **found, "unit": entry.row.figure}
 
 
 def summary(rows: list[dict]) -> list[dict]:

@@ -6,7 +6,7 @@ import math
 
 import pytest
 import torch
-from hard_cases.hard_directions import graze
+from brdf.directions import graze
 
 from torchmat import frames, safe
 from torchmat.models.bases import BASES

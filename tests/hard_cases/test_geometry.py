@@ -7,9 +7,9 @@ import math
 import numpy as np
 import pytest
 import torch
+from brdf.directions import graze
 from fit.reference_scene import centres, relief_scene
 from hard_cases.cases_shading import bumps, shaded
-from hard_cases.hard_directions import graze
 from models.examples import make
 from support import all_pairs, assert_close, hemisphere, plausible_images
 

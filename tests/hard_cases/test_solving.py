@@ -12,7 +12,8 @@ from support import all_pairs, assert_close, hemisphere, plausible_images
 
 import torchmat as tm
 from torchmat import Btf
-from torchmat.fit.levenberg_marquardt import CONVERGED, STEP_LIMIT, levenberg_marquardt
+from torchmat.fit.levenberg_marquardt import levenberg_marquardt
+from torchmat.fit.reasons import CONVERGED, STEP_LIMIT
 from torchmat.models.lobes import LOBES
 
 LIGHT, VIEW = all_pairs(hemisphere(), hemisphere())

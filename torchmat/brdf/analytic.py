@@ -58,7 +58,7 @@ def _gaussian(along: Tensor, across: Tensor, up: Tensor) -> Tensor:
 def _lambert(parameters: Tensor, light: Tensor, view: Tensor) -> Tensor:
     """k_d (N.L)."""
     value = column(parameters, 0, 3) * light[..., 2:3, :, :]
-    return value.expand(torch.broadcast_shapes(value.shape, view.shape))
+    return torch.broadcast_tensors(value, view)[0]
 
 
 def _phong(parameters: Tensor, light: Tensor, view: Tensor) -> Tensor:

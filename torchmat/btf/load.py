@@ -22,6 +22,7 @@ from torchmat.btf.source import open_source
 from torchmat.btf.store import PixelStore
 from torchmat.errors import RangeError, check_option, check_positive, message
 
+INVALID_WAYS, DUPLICATE_WAYS = ("error", "mask"), ("error", "keep")
 _KIND_OF_TABLE = {".csv": "manifest", ".lp": "rti"}
 
 
@@ -58,8 +59,8 @@ def load_btf(
     """
     start = time.perf_counter()
     check_option("load_btf", "encoding", encoding, ENCODINGS)
-    check_option("load_btf", "invalid", invalid, ("error", "mask"))
-    check_option("load_btf", "duplicates", duplicates, ("error", "keep"))
+    check_option("load_btf", "invalid", invalid, INVALID_WAYS)
+    check_option("load_btf", "duplicates", duplicates, DUPLICATE_WAYS)
     check_positive("load_btf", "exposure", exposure, "It divides all values; 1 leaves them.")
     path = Path(path)
     table = _KIND_OF_TABLE.get(path.suffix.lower())

@@ -16,6 +16,7 @@ from torchmat.btf.btf import Btf
 from torchmat.btf.neighbours import Triangulation
 from torchmat.btf.pairs import measured_pairs
 from torchmat.errors import RangeError, ShapeError, message
+from torchmat.planes import common_lead
 from torchmat.progress import progress
 
 _BLOCK_VALUES = 8_000_000  # of images, 32 MB in float32
@@ -75,7 +76,7 @@ class RawBtf:
         """
         self._check(uv, light, view)
         with torch.no_grad():
-            lead = torch.broadcast_shapes(light.shape[:-3], view.shape[:-3])
+            lead = common_lead(light, view)
             size = tuple(uv.shape[-2:])
             texel, share = self._texels(uv.detach().reshape(2, -1).to(self.dtype))
             lights = self._around(self._pairs.lights, light, (*lead, *size), falls=True)

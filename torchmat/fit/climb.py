@@ -208,10 +208,13 @@ class Climb:
             return training
         return replace(training, shared={**training.shared, **option.fitted.shared})
 
+    def _examiner_of(self, option: Option) -> Examiner:
+        return self._thin_examiner if option.thin else self.examiner
+
     def _measured(self, option: Option) -> tuple[Option, Measured]:
         """Return a fitted candidate as it would be delivered, unless stored smaller, and its errors."""
         option = replace(option, material=option.fitted.material.stored_at(option.rung.stored))
-        measured = (self._thin_examiner if option.thin else self.examiner).measure(option.material)
+        measured = self._examiner_of(option).measure(option.material)
         cost = measured.cost(self.target)
         return replace(option, cost=cost, cost_in_full=cost), measured
 
@@ -243,8 +246,7 @@ class Climb:
             return True
         if option.material.stored:  # numbers: no depth makes them more
             return False
-        examiner = self._thin_examiner if option.thin else self.examiner
-        return examiner.measure_as_it_is(option.material).cost(self.target) <= limit
+        return self._examiner_of(option).measure_as_it_is(option.material).cost(self.target) <= limit
 
     def _why(self, option: Option, small: Option, kept: bool) -> str:
         if self.limit is None:

@@ -18,8 +18,9 @@ from torchmat.fit.distribution_maps import BLOCK_VALUES, Parts, group_texels, ma
 from torchmat.fit.distribution_options import DistributionOptions
 from torchmat.fit.distribution_start import find_starts, mean_value
 from torchmat.fit.multiplicative import sweep
+from torchmat.fit.reasons import DIVERGED, NOT_FINITE
 from torchmat.fit.refine import refine_height
-from torchmat.fit.solvers import DIVERGED, NOT_FINITE, Descent, adam, lbfgs, minibatch
+from torchmat.fit.solvers import Descent, adam, lbfgs, minibatch
 from torchmat.fit.surface import Surface, bring_onto
 from torchmat.fit.training import Fitted, Training
 from torchmat.fit.watch import Watch

@@ -17,10 +17,9 @@ from torch import Tensor
 from torch.autograd import forward_ad
 
 from torchmat.errors import FitError, check_finite, message
+from torchmat.fit.reasons import CONVERGED, NOT_FINITE, OPEN, STEP_LIMIT
 from torchmat.repeatable import one_thread
 
-CONVERGED, STEP_LIMIT, NOT_FINITE = "converged", "step limit", "not finite"
-OPEN = "directions left open"  # damped away while they promised a lower cost
 _ROUNDING = 10.0  # times what one rounding of residuals and parameters changes: below, nothing is promised
 
 

@@ -14,11 +14,12 @@ from torchmat.errors import RangeError, ShapeError, check_finite, check_option, 
 from torchmat.fit.distribution import fit_distribution_on_relief
 from torchmat.fit.evaluate import evaluate
 from torchmat.fit.linear import fit_lambert_on_relief
+from torchmat.fit.reasons import BUDGET
 from torchmat.fit.recover import recover_relief
 from torchmat.fit.registry import FITTERS
 from torchmat.fit.surface import Sight, ambient_and_usual, bring_onto, without_shadow
 from torchmat.fit.training import Fitted, Training
-from torchmat.fit.watch import BUDGET, Watch
+from torchmat.fit.watch import Watch
 from torchmat.fit.window import Window
 from torchmat.geometry.normals import LARGEST_SCALE
 

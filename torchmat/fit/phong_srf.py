@@ -9,10 +9,11 @@ from torch import Tensor
 
 from torchmat.errors import FitError, RangeError, check_option, message
 from torchmat.fit.least_squares import Design, Moments, solve_texels, stream_means, stream_moments
-from torchmat.fit.levenberg_marquardt import CONVERGED, Solution, levenberg_marquardt
+from torchmat.fit.levenberg_marquardt import Solution, levenberg_marquardt
 from torchmat.fit.linear import design_of
 from torchmat.fit.lobe import LobeProblem, by_differences, fit_lobe, lobe_limits
-from torchmat.fit.training import CLOSED_FORM, Fitted, Training
+from torchmat.fit.reasons import CLOSED_FORM, CONVERGED
+from torchmat.fit.training import Fitted, Training
 from torchmat.metrics import relative
 from torchmat.models import PhongSrf
 from torchmat.models.lobes import LOBES, Lobe

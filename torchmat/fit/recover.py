@@ -19,9 +19,10 @@ from torchmat import frames
 from torchmat.btf import Btf
 from torchmat.errors import FitError, message
 from torchmat.fit.consistency import Agreement, Captured, agreement, capture, on_surface
+from torchmat.fit.reasons import BUDGET, CONVERGED
 from torchmat.fit.refine import image_gradient, limited
-from torchmat.fit.training import CLOSED_FORM as CONVERGED, Training, make_training
-from torchmat.fit.watch import BUDGET, Watch
+from torchmat.fit.training import Training, make_training
+from torchmat.fit.watch import Watch
 from torchmat.geometry import Relief, Stereo, photometric_stereo, poisson, slopes_from_normals
 from torchmat.geometry.normals import pad_border
 from torchmat.geometry.recover import relief_from_stereo

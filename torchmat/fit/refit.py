@@ -22,7 +22,7 @@ from torchmat.fit.distribution_maps import Parts, maps_of
 from torchmat.fit.distribution_options import DistributionOptions
 from torchmat.fit.distribution_start import mean_value
 from torchmat.fit.evaluate import evaluate
-from torchmat.fit.solvers import NOT_FINITE, STEP_LIMIT
+from torchmat.fit.reasons import NOT_FINITE, STEP_LIMIT
 from torchmat.fit.surface import Surface, bring_onto
 from torchmat.fit.training import make_training
 from torchmat.geometry import normals_from_slopes, slopes_from_height, slopes_from_normals

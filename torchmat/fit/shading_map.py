@@ -14,7 +14,8 @@ from torchmat.errors import FitError, check_option, message
 from torchmat.fit.least_squares import make_design, solve_texels, stream_means, stream_moments
 from torchmat.fit.levenberg_marquardt import levenberg_marquardt
 from torchmat.fit.lobe import by_differences, fit_lobe, lobe_limits
-from torchmat.fit.training import CLOSED_FORM, Fitted, Training
+from torchmat.fit.reasons import CLOSED_FORM
+from torchmat.fit.training import Fitted, Training
 from torchmat.metrics import relative
 from torchmat.models import ShadingMap
 from torchmat.models.shading_map import (

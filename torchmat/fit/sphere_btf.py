@@ -14,8 +14,9 @@ from torchmat.brdf.analytic import ANALYTIC
 from torchmat.errors import RangeError, check_option, message
 from torchmat.fit.least_squares import stream_means
 from torchmat.fit.lobe import fit_lobe
+from torchmat.fit.reasons import CLOSED_FORM
 from torchmat.fit.sphere_problem import Shape, SphereProblem
-from torchmat.fit.training import CLOSED_FORM, Fitted, Training
+from torchmat.fit.training import Fitted, Training
 from torchmat.models.sphere_images import PAPER_ANGLES_DEG, SphereImages, below_each_other, paper_turn, render_spheres
 from torchmat.repeatable import add_product
 

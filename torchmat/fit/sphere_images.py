@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from torchmat.errors import FitError, RangeError, check_option, message
-from torchmat.fit.levenberg_marquardt import CONVERGED, STEP_LIMIT
+from torchmat.fit.reasons import CONVERGED, STEP_LIMIT
 from torchmat.fit.sphere_curves import GaussNewton, SphereState
 from torchmat.fit.sphere_points import sphere_errors, sphere_points, unseen_lights
 from torchmat.fit.sphere_problem import Shape, SphereProblem

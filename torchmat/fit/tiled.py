@@ -17,10 +17,10 @@ from typing import Any
 from torch import Tensor
 
 from torchmat.fit.distribution_maps import to_one
-from torchmat.fit.solvers import STEP_LIMIT
+from torchmat.fit.reasons import CLOSED_FORM, STEP_LIMIT
 from torchmat.fit.tile_files import Work, open_work
 from torchmat.fit.tile_plan import TilePart, TilePlan, fit_part, plan_tiles
-from torchmat.fit.training import CLOSED_FORM, Fitted, Training
+from torchmat.fit.training import Fitted, Training
 from torchmat.fit.watch import Watch
 from torchmat.fit.window import Window
 from torchmat.progress import progress

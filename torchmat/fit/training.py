@@ -11,11 +11,10 @@ from torch import Tensor
 
 from torchmat.btf import Btf
 from torchmat.errors import FitError, message
+from torchmat.fit.reasons import CLOSED_FORM
 from torchmat.fit.watch import Watch
 from torchmat.geometry import Relief
 from torchmat.models import Material
-
-CLOSED_FORM = "converged"
 
 
 @dataclass(frozen=True)

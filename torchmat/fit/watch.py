@@ -6,10 +6,8 @@ import math
 import time
 from collections.abc import Callable
 
-
 from torchmat.models import Material
 
-BUDGET = "budget spent"
 _FIRST, _GROWTH = 0.02, 1.25  # seconds until the curve's first point, and from each to the next
 
 

@@ -19,6 +19,7 @@ from torch import Tensor
 from torchmat import safe
 from torchmat.errors import ShapeError, check_positive, message
 from torchmat.geometry.normals import check_height, pad_border
+from torchmat.planes import common_lead
 
 _STEPS_PER_TEXEL = 1.0
 _REFINEMENTS = 4
@@ -120,7 +121,7 @@ def _batched(where: str, height: Tensor, direction: Tensor, uv: Tensor | None) -
     rows, columns = height.shape[-2:]
     uv = texel_centres(rows, columns, height.dtype) if uv is None else uv
     slope = ray_slope(direction, rows, columns)
-    lead = torch.broadcast_shapes(slope.shape[:-3], uv.shape[:-3])
+    lead = common_lead(slope, uv)
     slope = slope.expand(*lead, *slope.shape[-3:]).reshape(-1, *slope.shape[-3:])
     uv = uv.expand(*lead, *uv.shape[-3:]).reshape(-1, *uv.shape[-3:])
     return uv, slope, lead

@@ -169,7 +169,7 @@ class Material(Storable):
         if bool(above.all()):
             value = self._evaluate(light, view).clamp(min=0)
             # A model that does not look at the view gives one picture for all of them.
-            return value.expand(torch.broadcast_shapes(value.shape, above.shape)).contiguous()
+            return torch.broadcast_tensors(value, above)[0].contiguous()
         # Below the horizon the model sees the pole instead, where it is finite, so that the gradient is 0 and not NaN.
         pole = torch.zeros(3, 1, 1, dtype=light.dtype)
         pole[2] = 1

@@ -56,7 +56,7 @@ def blend(first: Material, second: Material, weight: float | Tensor, filter: str
 
 def mix(one: Tensor, other: Tensor, weight: Tensor) -> Tensor:
     """Interpolate linearly: exact at both ends, and never outside what it interpolates (torch counts from the nearer)."""
-    return torch.lerp(one, other, weight.expand(torch.broadcast_shapes(one.shape, weight.shape)))
+    return torch.lerp(one, other, torch.broadcast_tensors(one, weight)[1])
 
 
 def _mix_vectors(name: str, one: Tensor, other: Tensor, weight: Tensor) -> Tensor:

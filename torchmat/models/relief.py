@@ -9,6 +9,7 @@ from torch import Tensor
 
 from torchmat.geometry.relief import look_up, soft_shadow, texel_centres, trace_view
 from torchmat.models.storage import MapSpec
+from torchmat.planes import common_lead
 
 # A 16-bit integer spans just the heights that occur; half precision would show as steps in the normals.
 HEIGHT = MapSpec("height", "height over the plane of the images, texture widths", layer_channels=1, storage="png16")
@@ -98,7 +99,7 @@ def _shade_picture(material, uv: Tensor, light: Tensor, view: Tensor) -> Tensor:
 
 def _listed(light: Tensor, view: Tensor) -> tuple[Tensor, Tensor, torch.Size]:
     """Return directions with one leading dimension in common, and the leading shape that they had."""
-    lead = torch.broadcast_shapes(light.shape[:-3], view.shape[:-3])
+    lead = common_lead(light, view)
     listed = [d.expand(*lead, *d.shape[-3:]).reshape(-1, *d.shape[-3:]) for d in (light, view)]
     return listed[0], listed[1], lead
 

@@ -14,11 +14,11 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from torchmat.fit.watch import BUDGET, Watch
+from torchmat.fit.reasons import BUDGET, CONVERGED, DIVERGED, NOT_FINITE, STEP_LIMIT
+from torchmat.fit.watch import Watch
 from torchmat.progress import progress
 from torchmat.repeatable import one_thread
 
-CONVERGED, STEP_LIMIT, NOT_FINITE, DIVERGED = "converged", "step limit", "not finite", "diverged"
 _PATIENCE = 25  # steps within which the lowest value must fall by the tolerance
 _WORSE = 100.0  # times the value at the start: no useful step is that far uphill
 _FLAT = 1.5  # times the value at the start: what goes to and fro above has not converged
