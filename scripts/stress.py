@@ -16,10 +16,10 @@ from concurrent.futures import ThreadPoolExecutor, as_completed
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
-sys.path[:1] = [str(ROOT / "tests"), str(ROOT / "scripts" / "bench")]  # not this folder, whose fit.py is another fit
+sys.path[:1] = [str(ROOT), str(ROOT / "scripts" / "bench")]  # not this folder, whose fit.py is another fit
 
-from hard_cases import digests, stress_report  # noqa: E402
-from hard_cases.parts import PARTS, Settings, alone  # noqa: E402
+from tests.hard_cases import digests, stress_report  # noqa: E402
+from tests.hard_cases.parts import PARTS, Settings, alone  # noqa: E402
 from measure import RESULTS, machine  # noqa: E402
 
 from torchmat.progress import progress  # noqa: E402

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 import torch
-from support import all_pairs, hemisphere, plausible_images
+from tests.support import all_pairs, hemisphere, plausible_images
 
 from torchmat import Btf
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from support import all_pairs, assert_close, hemisphere, plausible_images
+from tests.support import all_pairs, assert_close, hemisphere, plausible_images
 
 from torchmat import load_material
 from torchmat.brdf import AnalyticBrdf, tabulate, write_merl

@@ -5,16 +5,16 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
-from support import assert_close
+from tests.support import assert_close
 
 from torchmat import load_btf, load_material, sample_path, save_material
 from torchmat.brdf import AnalyticBrdf, tabulate, write_merl
+from torchmat.btf.interpolated import RawBtf
 from torchmat.cli import main
 from torchmat.images import read_image, write_image
 from torchmat.models import Texture
-from torchmat.render import Camera, Directional, Point, environment_lights, render
-from torchmat.render.mesh import as_mesh
-from torchmat.render.raw_btf import RawBtf
+from torchmat.rendering import Camera, Directional, Point, environment_lights, render
+from torchmat.rendering.as_mesh import as_mesh
 
 LIGHT = (0.3, 0.4, 0.8)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 
 import pytest
-from support import all_pairs, hemisphere, plausible_images
+from tests.support import all_pairs, hemisphere, plausible_images
 
 from torchmat import Btf, RangeError
 from torchmat.cli.fit import Fit

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 import torch
-from reference import colour as oracle
-from support import assert_close
+from tests.reference import colour as oracle
+from tests.support import assert_close
 
 from torchmat import colour
 

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 import torch
-from support import assert_close, hemisphere
+from tests.support import assert_close, hemisphere
 
 from torchmat import frames
 

@@ -7,8 +7,8 @@ import math
 import numpy as np
 import pytest
 import torch
-from reference import colour as oracle
-from support import assert_close
+from tests.reference import colour as oracle
+from tests.support import assert_close
 
 from torchmat import colour, metrics
 

@@ -6,13 +6,13 @@ import math
 
 import pytest
 import torch
-from models.examples import CASES, make
-from support import assert_close
+from tests.models.examples import CASES, make
+from tests.support import assert_close
 
 from torchmat.errors import RangeError, ShapeError
 from torchmat.models import Lambert, Texture
-from torchmat.render import Camera, Point, render
-from torchmat.render.shapes import make_mesh
+from torchmat.rendering import Camera, Point, render
+from torchmat.rendering.shapes import make_mesh
 
 ALBEDO = torch.tensor([0.8, 0.5, 0.2], dtype=torch.float64)[:, None, None]
 

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import pytest
 import torch
-from models.examples import make
-from support import assert_close
+from tests.models.examples import make
+from tests.support import assert_close
 
 from torchmat.geometry.relief import texel_centres
 from torchmat.models import Lambert, Texture
-from torchmat.render import render
+from torchmat.rendering import render
 
 SIZE = 12
 OBLIQUE = (0.6, -0.3, 0.7)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 import torch
-from support import assert_close
+from tests.support import assert_close
 
 from torchmat.repeatable import add_product, one_thread, product, wide_product
 

@@ -10,7 +10,7 @@ import sys
 import mpmath
 import pytest
 import torch
-from support import TOLERANCE, assert_close
+from tests.support import TOLERANCE, assert_close
 
 from torchmat import safe
 

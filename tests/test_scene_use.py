@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
-from reference.raw_btf import around
-from support import all_pairs, hemisphere
+from tests.reference.raw_btf import around
+from tests.support import all_pairs, hemisphere
 
 from torchmat import RangeError, ShapeError
 from torchmat.scene_use import SceneUse, as_use, joined

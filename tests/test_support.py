@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import support
+from tests import support
 import torch
-from support import TOLERANCE, all_pairs, assert_close, hemisphere, plausible_images, shared_path
+from tests.support import TOLERANCE, all_pairs, assert_close, hemisphere, plausible_images, shared_path
 
 
 def test_assert_close_passes_within_the_tolerance(dtype):

@@ -3,10 +3,10 @@
 from torchmat.brdf import Brdf, load_brdf
 from torchmat.btf import Btf, load_btf, split_samples
 from torchmat.errors import DataError, FitError, RangeError, ShapeError, TorchmatError
-from torchmat.fit import FitConfig, FitResult, evaluate, fit, load_config
+from torchmat.fitting import FitConfig, FitResult, evaluate, fit, load_config
 from torchmat.material_io import load_material, save_material
 from torchmat.models import Material
-from torchmat.render import Scene, render
+from torchmat.rendering import Scene, render
 from torchmat.report import compare
 from torchmat.sample import sample_path, sample_truth
 

@@ -14,15 +14,15 @@ from reliefs import _load
 
 import torchmat as tm
 from torchmat.btf.btf import Btf
-from torchmat.fit import FitResult
-from torchmat.fit.candidate import Option, fit_rung
-from torchmat.fit.climb import Climb
-from torchmat.fit.ladder import distribution_parts
-from torchmat.fit.parts import PartsClimb
-from torchmat.fit.recover import recover_relief
-from torchmat.fit.shrink import Shrunk, shrink_steps, total_bytes
-from torchmat.fit.target import Target
-from torchmat.fit.training import make_training
+from torchmat.fitting import FitResult
+from torchmat.fitting.choice.candidate import Option, fit_rung
+from torchmat.fitting.choice.climb import Climb
+from torchmat.fitting.choice.distribution_parts import PartsClimb
+from torchmat.fitting.choice.ladder import distribution_parts
+from torchmat.fitting.choice.shrink import Shrunk, shrink_steps, total_bytes
+from torchmat.fitting.relief.recover import recover_relief
+from torchmat.fitting.training import make_training
+from torchmat.fitting.wanted import Target
 from torchmat.models import Distribution, Material
 from torchmat.models.storage import StoredAs
 

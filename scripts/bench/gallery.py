@@ -9,13 +9,13 @@ from measure import RESULTS
 
 import torchmat as tm
 from torchmat import colour
+from torchmat.btf.interpolated import RawBtf
 from torchmat.models import MATERIALS
-from torchmat.render import Camera
-from torchmat.render.lights import Directional
-from torchmat.render.mesh import as_mesh
-from torchmat.render.objects import shade_visible
-from torchmat.render.raw_btf import RawBtf
-from torchmat.render.visibility import see
+from torchmat.rendering import Camera
+from torchmat.rendering.as_mesh import as_mesh
+from torchmat.rendering.lights import Directional
+from torchmat.rendering.objects import shade_visible
+from torchmat.rendering.visibility import see
 from torchmat.report.pictures import plotting, save_figure
 
 _COLUMNS, _SIZE, _REPEAT = 4, 320, 1.0

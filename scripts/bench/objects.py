@@ -9,14 +9,15 @@ from measure import SHARED, timed
 
 import torchmat as tm
 from torchmat.brdf import load_brdf
-from torchmat.fit.sphere_images import fit_sphere_images
+from torchmat.btf.interpolated import RawBtf
+from torchmat.fitting.models.spheres.to_brdf import fit_sphere_images
 from torchmat.metrics import relative
-from torchmat.render import Camera, Directional
-from torchmat.render.mesh import Mesh, as_mesh
-from torchmat.render.mipmap import Pyramid, Shader
-from torchmat.render.objects import shade_visible
-from torchmat.render.raw_btf import RawBtf
-from torchmat.render.visibility import see
+from torchmat.rendering import Camera, Directional
+from torchmat.rendering.as_mesh import as_mesh
+from torchmat.rendering.mesh import Mesh
+from torchmat.rendering.mipmap import Pyramid, Shader
+from torchmat.rendering.objects import shade_visible
+from torchmat.rendering.visibility import see
 
 _BUNNY = SHARED / "meshes" / "bunny" / "stanford-bunny.obj"
 _RGL = SHARED / "real" / "rgl"

@@ -12,9 +12,9 @@ from torch import Tensor
 
 import torchmat as tm
 from torchmat import colour
+from torchmat.btf.interpolated import RawBtf
 from torchmat.metrics import relative
-from torchmat.render import Camera, Directional
-from torchmat.render.raw_btf import RawBtf
+from torchmat.rendering import Camera, Directional
 from torchmat.report.pictures import plotting, save_figure
 
 _MODELS = {

@@ -13,12 +13,12 @@ from measure import RESULTS, SHARED
 
 import torchmat as tm
 from torchmat.btf.btf import Btf
-from torchmat.fit.by_descent import fit_by_descent
-from torchmat.fit.evaluate import evaluate
-from torchmat.fit.registry import FITTERS, SOLVERS, resolve_options
-from torchmat.fit.training import Fitted, Training, make_training
-from torchmat.fit.watch import Watch
+from torchmat.fitting.evaluate import evaluate
+from torchmat.fitting.models.any_model import fit_by_descent
+from torchmat.fitting.recipes import FITTERS, SOLVERS, resolve_options
+from torchmat.fitting.training import Fitted, Training, make_training
 from torchmat.report.pictures import plotting, save_figure
+from torchmat.solvers.clock import Watch
 
 RATES = (0.003, 0.01, 0.03, 0.1, 0.3)
 _LONGER = 12  # times the default's seconds: what takes longer has not reached the error
@@ -65,7 +65,7 @@ def _own(model: str, options: dict[str, Any]) -> Run:
 def _adam(model: str, options: dict[str, Any], rate: float) -> Run:
     if model == "distribution":
         def run(training: Training) -> Fitted:
-            with mock.patch.object(sys.modules["torchmat.fit.distribution"], "_RATE", rate):
+            with mock.patch.object(sys.modules["torchmat.fitting.models.distribution.fit"], "_RATE", rate):
                 return FITTERS[model](training, **resolve_options(model, {**options, "solver": "adam", "effort": 100.0}))
         return run
     chosen = {name: value for name, value in resolve_options(model, options).items() if name != "solver"}

@@ -13,8 +13,8 @@ from measure import SHARED, timed
 
 from torchmat.brdf import Brdf, load_brdf
 from torchmat.brdf.merl import MerlBrdf, tabulate
-from torchmat.fit.sphere_images import fit_sphere_images
-from torchmat.fit.sphere_points import highlight_error, sphere_errors, unseen_lights
+from torchmat.fitting.models.spheres.points import highlight_error, sphere_errors, unseen_lights
+from torchmat.fitting.models.spheres.to_brdf import fit_sphere_images
 from torchmat.models.sphere_geometry import directions_on, sphere_normals
 from torchmat.models.sphere_images import PAPER_ANGLES_DEG, SphereImages, constant_turn, paper_turn
 

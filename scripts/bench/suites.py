@@ -22,8 +22,8 @@ from measure import SHARED, in_fresh_process, median_of, timed
 
 import torchmat as tm
 from torchmat.btf import Btf
-from torchmat.fit.registry import FITTERS, resolve_options
-from torchmat.fit.training import make_training
+from torchmat.fitting.recipes import FITTERS, resolve_options
+from torchmat.fitting.training import make_training
 from torchmat.report.compare import CLOSED_FORMS, parse_model
 
 _WALLPAPER = SHARED / "real" / "ubo2003_wallpaper"

@@ -7,10 +7,10 @@ import math
 import numpy as np
 import pytest
 import torch
-from brdf.directions import HARD_PAIRS, graze, near_mirror, planes, random_directions, shade_and_differentiate
-from reference.brdf import REFLECTANCE, value
-from reference.gradient import central
-from support import assert_close
+from tests.brdf.directions import HARD_PAIRS, graze, near_mirror, planes, random_directions, shade_and_differentiate
+from tests.reference.brdf import REFLECTANCE, value
+from tests.reference.gradient import central
+from tests.support import assert_close
 
 from torchmat.brdf import ANALYTIC, AnalyticBrdf
 from torchmat.brdf.albedo import directional_albedo

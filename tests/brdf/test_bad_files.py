@@ -8,7 +8,7 @@ import tracemalloc
 import numpy as np
 import pytest
 import torch
-from brdf.files import merl_bytes, rgl_fields, tensor_bytes, write_tensor_file
+from tests.brdf.files import merl_bytes, rgl_fields, tensor_bytes, write_tensor_file
 
 from torchmat import load_brdf
 from torchmat.brdf import MerlBrdf, RglBrdf, brdf_kind, read_merl, read_rgl

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from brdf.files import merl_bytes, rgl_fields, write_tensor_file
+from tests.brdf.files import merl_bytes, rgl_fields, write_tensor_file
 
 from torchmat.brdf import AnalyticBrdf, tabulate, write_merl
 from torchmat.errors import DataError

@@ -9,10 +9,10 @@ import tracemalloc
 import numpy as np
 import pytest
 import torch
-from brdf.directions import HARD_PAIRS, graze, planes, random_directions, shade_and_differentiate
-from brdf.files import merl_bytes
-from reference.brdf import half_difference, merl_linear, merl_nearest
-from support import assert_close
+from tests.brdf.directions import HARD_PAIRS, graze, planes, random_directions, shade_and_differentiate
+from tests.brdf.files import merl_bytes
+from tests.reference.brdf import half_difference, merl_linear, merl_nearest
+from tests.support import assert_close
 
 from torchmat import load_brdf
 from torchmat.brdf import AnalyticBrdf, MerlBrdf, RglBrdf, read_merl, tabulate, write_merl

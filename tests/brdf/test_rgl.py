@@ -7,10 +7,10 @@ import math
 import numpy as np
 import pytest
 import torch
-from brdf.directions import HARD_PAIRS, graze, near_mirror, planes, random_directions, shade_and_differentiate
-from brdf.files import rgl_fields, write_tensor_file
-from reference.brdf import rgl
-from support import assert_close
+from tests.brdf.directions import HARD_PAIRS, graze, near_mirror, planes, random_directions, shade_and_differentiate
+from tests.brdf.files import rgl_fields, write_tensor_file
+from tests.reference.brdf import rgl
+from tests.support import assert_close
 
 from torchmat import load_brdf
 from torchmat.brdf import RglBrdf

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
-from brdf.directions import near_mirror, planes, random_directions
-from brdf.files import rgl_fields, write_tensor_file
-from support import shared_path
+from tests.brdf.directions import near_mirror, planes, random_directions
+from tests.brdf.files import rgl_fields, write_tensor_file
+from tests.support import shared_path
 
 from torchmat import load_brdf
 from torchmat.brdf.spectral import matching_functions, rgb_weights

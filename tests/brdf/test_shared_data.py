@@ -6,8 +6,8 @@ import math
 
 import pytest
 import torch
-from brdf.directions import planes, random_directions
-from support import shared_path
+from tests.brdf.directions import planes, random_directions
+from tests.support import shared_path
 
 from torchmat import load_brdf
 from torchmat.brdf import tabulate

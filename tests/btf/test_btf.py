@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
-from support import all_pairs, assert_close, hemisphere, plausible_images
+from tests.support import all_pairs, assert_close, hemisphere, plausible_images
 
 from torchmat import Btf, RangeError, ShapeError
 from torchmat.btf import store as store_module

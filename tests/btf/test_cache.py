@@ -16,8 +16,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from btf.files import either_way, put_btf, put_image, put_manifest, random_codes, srgb_decoded, zipped
-from support import assert_close
+from tests.btf.files import either_way, put_btf, put_image, put_manifest, random_codes, srgb_decoded, zipped
+from tests.support import assert_close
 
 from torchmat import Btf, DataError, RangeError, atomic, load_btf
 from torchmat.btf import cache as cache_module

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
-from btf.files import srgb_decoded
-from support import assert_close
+from tests.btf.files import srgb_decoded
+from tests.support import assert_close
 
 from torchmat.btf.decode import Decoder, resolve_encoding
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from btf.files import get_image, put_image, random_codes
+from tests.btf.files import get_image, put_image, random_codes
 
 from torchmat import DataError, ShapeError
 from torchmat.images import read_image, write_image

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import pytest
-from btf.files import either_way, put_image, random_codes, srgb_decoded
-from support import assert_close
+from tests.btf.files import either_way, put_image, random_codes, srgb_decoded
+from tests.support import assert_close
 
 from torchmat import DataError, load_btf
 

@@ -7,9 +7,9 @@ import math
 import numpy as np
 import pytest
 import torch
-from btf.files import ANGLES, HEADER, directions_of, either_way, put_btf, put_image, put_manifest, random_codes
-from btf.files import srgb_decoded, zip_of
-from support import assert_close
+from tests.btf.files import ANGLES, HEADER, directions_of, either_way, put_btf, put_image, put_manifest, random_codes
+from tests.btf.files import srgb_decoded, zip_of
+from tests.support import assert_close
 
 from torchmat import DataError, RangeError, TorchmatError, load_btf
 

@@ -6,7 +6,7 @@ import random
 
 import pytest
 import torch
-from btf.files import members_of, put_btf, put_image, random_codes, zip_of
+from tests.btf.files import members_of, put_btf, put_image, random_codes, zip_of
 
 from torchmat import Btf, TorchmatError, load_btf
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 import torch
-from btf.files import ANGLES, directions_of, either_way, get_image, put_image, put_manifest, random_codes, srgb_decoded
-from support import assert_close
+from tests.btf.files import ANGLES, directions_of, either_way, get_image, put_image, put_manifest, random_codes, srgb_decoded
+from tests.support import assert_close
 
 from torchmat import DataError, load_btf
 

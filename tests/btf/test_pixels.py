@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
-from btf.files import either_way, put_btf, put_image, put_manifest, random_codes, srgb_decoded
-from support import assert_close
+from tests.btf.files import either_way, put_btf, put_image, put_manifest, random_codes, srgb_decoded
+from tests.support import assert_close
 
 from torchmat import DataError, RangeError, ShapeError, load_btf
 

@@ -10,8 +10,8 @@ import zipfile
 import numpy as np
 import pytest
 import torch
-from btf.files import directions_of, get_image, srgb_decoded
-from support import assert_close, shared_path
+from tests.btf.files import directions_of, get_image, srgb_decoded
+from tests.support import assert_close, shared_path
 
 from torchmat import load_btf
 

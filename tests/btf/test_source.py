@@ -8,7 +8,7 @@ import zipfile
 from contextlib import closing
 
 import pytest
-from btf.files import members_of, put_btf, random_codes, zip_of, zipped
+from tests.btf.files import members_of, put_btf, random_codes, zip_of, zipped
 
 from torchmat import DataError, load_btf
 from torchmat.btf.source import open_source

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 import torch
-from support import shared_path
+from tests.support import shared_path
 
 from torchmat import Btf, RangeError, load_btf, split_samples
 

@@ -6,7 +6,7 @@ import math
 
 import pytest
 import torch
-from support import assert_close
+from tests.support import assert_close
 
 from torchmat.create.controls import (
     brightness_contrast,

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 import torch
-from support import assert_close
+from tests.support import assert_close
 
 from torchmat import colour, load_material, render, save_material
 from torchmat.btf.photographs import read_linear

@@ -6,7 +6,7 @@ import math
 
 import pytest
 import torch
-from support import assert_close
+from tests.support import assert_close
 
 from torchmat.brdf import AnalyticBrdf
 from torchmat.create.from_sphere import sphere_images_from_photographs

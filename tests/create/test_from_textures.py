@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 import torch
-from support import assert_close, shared_path
+from tests.support import assert_close, shared_path
 
 from torchmat import colour, load_material, render, save_material
 from torchmat.create import material_from_textures

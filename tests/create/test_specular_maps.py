@@ -6,7 +6,7 @@ import math
 
 import pytest
 import torch
-from support import assert_close
+from tests.support import assert_close
 
 from torchmat.create.specular_maps import SPECULAR_MAPS, TILTS, disc, specular_map, tilt_curve
 from torchmat.errors import RangeError

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 import torch
-from support import assert_close
+from tests.support import assert_close
 
 from torchmat.errors import RangeError, ShapeError
 from torchmat.geometry import integrate, poisson

@@ -7,8 +7,8 @@ import math
 import numpy as np
 import pytest
 import torch
-from reference import relief as oracle
-from support import assert_close
+from tests.reference import relief as oracle
+from tests.support import assert_close
 
 from torchmat.errors import RangeError, ShapeError
 from torchmat.geometry import normals_from_height, normals_from_slopes, slopes_from_height, slopes_from_normals

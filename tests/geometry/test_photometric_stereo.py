@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
-from support import hemisphere, shared_path
+from tests.support import hemisphere, shared_path
 
 from torchmat.errors import DataError, RangeError, ShapeError, TorchmatError
 from torchmat.geometry import find_highlight, lights_from_ball, photometric_stereo

@@ -7,7 +7,7 @@ import json
 import numpy as np
 import pytest
 import torch
-from support import hemisphere, shared_path
+from tests.support import hemisphere, shared_path
 
 from torchmat.btf.photographs import read_lights, read_photographs
 from torchmat.cli import main

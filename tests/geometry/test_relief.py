@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 import torch
-from reference import relief as oracle
+from tests.reference import relief as oracle
 
 from torchmat.errors import RangeError, ShapeError
 from torchmat.geometry import clearance, relief, soft_shadow, trace_view, visible

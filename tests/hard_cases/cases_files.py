@@ -10,11 +10,11 @@ from pathlib import Path
 
 import pytest
 import torch
-from hard_cases.cases_shading import FULL
-from hard_cases.components import Component, Room
-from hard_cases.fuzz_readers import Reader, digest
-from hard_cases.fuzz_worker import put_tree, tree_of
-from hard_cases.writers import Writer, leave_free, read_only, small_disk, snapshot
+from tests.hard_cases.cases_shading import FULL
+from tests.hard_cases.components import Component, Room
+from tests.hard_cases.fuzz_readers import Reader, digest
+from tests.hard_cases.fuzz_worker import put_tree, tree_of
+from tests.hard_cases.writers import Writer, leave_free, read_only, small_disk, snapshot
 
 from torchmat import DataError, TorchmatError
 

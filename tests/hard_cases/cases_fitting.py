@@ -8,19 +8,21 @@ from unittest import mock
 
 import numpy as np
 import torch
-from brdf.directions import HARD_PAIRS, graze
-from hard_cases.cases_shading import FULL, digits_right
-from hard_cases.components import Room, steps_for
-from hard_cases.hard_directions import half_pairs
-from support import all_pairs, assert_close, hemisphere, plausible_images
+from tests.brdf.directions import HARD_PAIRS, graze
+from tests.hard_cases.cases_shading import FULL, digits_right
+from tests.hard_cases.components import Room, steps_for
+from tests.hard_cases.hard_directions import half_pairs
+from tests.support import all_pairs, assert_close, hemisphere, plausible_images
 
 import torchmat as tm
 from torchmat import Btf
 from torchmat.btf.btf import CLIPPED, summarise
 from torchmat.btf.decode import Decoder
-from torchmat.fit import by_descent, predict, reasons
-from torchmat.fit.by_descent import DESCENTS
-from torchmat.fit.registry import SOLVERS
+from torchmat.fitting import predict
+from torchmat.fitting.models import any_model as by_descent
+from torchmat.fitting.models.any_model import DESCENTS
+from torchmat.fitting.recipes import SOLVERS
+from torchmat.solvers import stop_reasons as reasons
 
 LIGHTS = hemisphere()
 LIGHT, VIEW = all_pairs(LIGHTS, hemisphere(((0, 1), (30, 2), (60, 3))))
@@ -305,7 +307,7 @@ def named_reasons(given: Road, room: Room) -> None:
 
 
 def same_bits(given: Road, room: Room) -> None:
-    """Case 15: one seed, the same bits; with time, with one thread and with two (else in tests/fit/test_determinism.py)."""
+    """Case 15: one seed, the same bits; with time, with one thread and with two (else in tests/fitting/test_determinism.py)."""
     btf, found, before = btf_of(plausible_images(LIGHT, VIEW, 9, 8)), [], torch.get_num_threads()
     try:
         for threads in (1, 2) if room.thorough else (1, 1):

@@ -7,17 +7,17 @@ from collections.abc import Iterator
 
 import pytest
 import torch
-from brdf.directions import graze
-from hard_cases.cases_shading import FULL, bumps
-from hard_cases.components import Component, Room, models
-from models.examples import make, make_maps, specs_of
-from render.mesh_files import assert_frames_hold
+from tests.brdf.directions import graze
+from tests.hard_cases.cases_shading import FULL, bumps
+from tests.hard_cases.components import Component, Room, models
+from tests.models.examples import make, make_maps, specs_of
+from tests.rendering.mesh_files import assert_frames_hold
 from torch import Tensor
 
 from torchmat import Material, RangeError, ShapeError, render
 from torchmat.models import MATERIALS
-from torchmat.render.scene import PATCH
-from torchmat.render.shapes import make_mesh
+from torchmat.rendering.scene import PATCH
+from torchmat.rendering.shapes import make_mesh
 
 OBLIQUE = (0.5, 0.3, 0.8)
 

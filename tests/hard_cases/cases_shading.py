@@ -6,14 +6,14 @@ import math
 
 import pytest
 import torch
-from fit.reference_scene import waves
-from brdf.directions import HARD_PAIRS, POLE, graze
-from hard_cases.components import Room
-from hard_cases.hard_directions import half_pairs, hard_grid, rows_of
-from hard_cases.sweep_models import twin
-from models import test_contract as contract
-from models.examples import directions, make, make_maps, per_image, specs_of
-from support import TOLERANCE, assert_close
+from tests.fitting.reference_scene import waves
+from tests.brdf.directions import HARD_PAIRS, POLE, graze
+from tests.hard_cases.components import Room
+from tests.hard_cases.hard_directions import half_pairs, hard_grid, rows_of
+from tests.hard_cases.sweep_models import twin
+from tests.models import test_contract as contract
+from tests.models.examples import directions, make, make_maps, per_image, specs_of
+from tests.support import TOLERANCE, assert_close
 from torch import Tensor
 
 from torchmat import Material, RangeError, save_material

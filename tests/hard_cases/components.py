@@ -7,13 +7,13 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from models.examples import EXAMPLE_OPTIONS
+from tests.models.examples import EXAMPLE_OPTIONS
 
-from torchmat.fit import by_descent
-from torchmat.fit.registry import SOLVERS
+from torchmat.fitting.models import any_model as by_descent
+from torchmat.fitting.recipes import SOLVERS
 from torchmat.models import MATERIALS
-from torchmat.render.scene import PATCH
-from torchmat.render.shapes import SHAPES
+from torchmat.rendering.scene import PATCH
+from torchmat.rendering.shapes import SHAPES
 
 
 class Component(NamedTuple):
@@ -69,14 +69,14 @@ def solvers() -> list[Component]:
 
 def readers() -> list[Component]:
     """Return everything that reads a file."""
-    from hard_cases.fuzz_readers import READERS
+    from tests.hard_cases.fuzz_readers import READERS
 
     return [Component("reader", reader.name, reader) for reader in READERS]
 
 
 def writers() -> list[Component]:
     """Return everything that writes files: the material folder in each storage, and all that has a form of its own."""
-    from hard_cases.writers import writers as known
+    from tests.hard_cases.writers import writers as known
 
     return [Component("writer", writer.name, writer) for writer in known()]
 

@@ -15,8 +15,9 @@ import torch
 from torch import Tensor
 
 from torchmat import Btf
-from torchmat.fit.least_squares import make_design, solve_texels, stream_moments
-from torchmat.fit.levenberg_marquardt import levenberg_marquardt
+from torchmat.fitting.models.streamed import solve_texels, stream_moments
+from torchmat.solvers.least_squares import make_design
+from torchmat.solvers.levenberg_marquardt import levenberg_marquardt
 
 DTYPES = (torch.float32, torch.float64)
 CONDITIONS = tuple(10.0**k for k in range(13))
@@ -176,7 +177,7 @@ def marquardt_rows(conditions: Sequence[float], seed: int) -> list[dict]:
 
 def descent_rows(conditions: Sequence[float], seed: int) -> list[dict]:
     """Return the rows of LBFGS on linear least squares of each condition, from zero."""
-    from torchmat.fit.solvers import lbfgs
+    from torchmat.solvers import lbfgs
 
     rows = []
     for condition in conditions:
@@ -223,7 +224,7 @@ def row_of(
 
 def run(count: int = 4, seed: int = 0) -> list[dict]:
     """Return the rows of all solvers at `count` conditions from 1 to 1e12 (13 at most)."""
-    from hard_cases import conditioning_maps as maps
+    from tests.hard_cases import conditioning_maps as maps
 
     conditions = [CONDITIONS[k] for k in sorted(set(np.linspace(0, 12, min(count, 13)).round().astype(int)))]
     rows = linear_rows(conditions, seed) + marquardt_rows(conditions, seed) + descent_rows(conditions, seed)

@@ -6,8 +6,8 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 import torch
-from hard_cases.conditioning import CONDITIONS, DTYPES, PICTURE_STEPS, UNITS, correct, digits_of, row_of
-from support import hemisphere
+from tests.hard_cases.conditioning import CONDITIONS, DTYPES, PICTURE_STEPS, UNITS, correct, digits_of, row_of
+from tests.support import hemisphere
 from torch import Tensor
 
 from torchmat import Btf
@@ -121,7 +121,7 @@ def _dense_poisson(slopes: Tensor, weight: Tensor) -> Tensor:
 
 def picture_rows(conditions: Sequence[float], seed: int, steps: int = PICTURE_STEPS) -> list[dict]:
     """Return the rows of the sphere pictures: points that weigh ever less, against a dense solution."""
-    from torchmat.fit.sphere_problem import Shape, SphereProblem
+    from torchmat.fitting.models.spheres.problem import Shape, SphereProblem
 
     rows = []
     light, view = (torch.from_numpy(_directions(120, seed + k)).T[:, :, None] for k in (0, 1))

@@ -45,7 +45,7 @@ def platform_key() -> str:
 
 def fits() -> dict[str, tuple[str, dict[str, Any]]]:
     """Return model and options of each fit: every registered model, small and by its default solver, and a few variants."""
-    from torchmat.fit.registry import FITTERS
+    from torchmat.fitting.recipes import FITTERS
 
     small = {
         "pca": {"components": 4}, "local_pca": {"clusters": 3, "components": 3},
@@ -68,8 +68,8 @@ def results(cached: bool = False, only: Sequence[str] | None = None) -> dict[str
     With `cached` the photographs come out of the cache that a first load has filled.
     """
     import torch
-    from hard_cases.kills import photographs
-    from models.examples import directions, per_image
+    from tests.hard_cases.kills import photographs
+    from tests.models.examples import directions, per_image
 
     import torchmat as tm
 
@@ -188,7 +188,7 @@ def unlike(first: dict[str, dict[str, Any]], second: dict[str, dict[str, Any]]) 
 
 def main() -> None:
     """The process of its own."""
-    sys.path.insert(0, str(ENTRY.parents[1]))
+    sys.path.insert(0, str(ENTRY.parents[2]))
     print(json.dumps(results(cached="cached" in sys.argv[1:])))
 
 

@@ -14,9 +14,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from hard_cases.fuzz_readers import READERS
-from hard_cases.fuzz_worker import ACCEPTED, REFUSED, serve
-from hard_cases.worker import Worker
+from tests.hard_cases.fuzz_readers import READERS
+from tests.hard_cases.fuzz_worker import ACCEPTED, REFUSED, serve
+from tests.hard_cases.worker import Worker
 
 WALL_SECONDS = 60.0  # for one input; processor time has a narrower bound
 

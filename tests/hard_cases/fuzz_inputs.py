@@ -14,11 +14,11 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from brdf.files import merl_bytes, rgl_fields, tensor_bytes
-from btf.files import ANGLES, put_btf, put_image, random_codes, zipped
-from models.distributions import ALL_PARTS, distribution
-from models.examples import make
-from render.mesh_files import SQUARE, SQUARE_UV, TWO, glb_of, put_obj, put_ply, put_stl
+from tests.brdf.files import merl_bytes, rgl_fields, tensor_bytes
+from tests.btf.files import ANGLES, put_btf, put_image, random_codes, zipped
+from tests.models.distributions import ALL_PARTS, distribution
+from tests.models.examples import make
+from tests.rendering.mesh_files import SQUARE, SQUARE_UV, TWO, glb_of, put_obj, put_ply, put_stl
 
 import torchmat as tm
 from torchmat.geometry import Relief

@@ -9,23 +9,23 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from btf.files import directions_of
-from hard_cases.fuzz_inputs import (
+from tests.btf.files import directions_of
+from tests.hard_cases.fuzz_inputs import (
     Put, image_putter, material_putter, mesh_putter, named_putter, put_cached, put_config, put_distribution,
     put_gltf, put_lights, put_manifest, put_merl, put_packed, put_rti, put_small, put_textures, put_volume,
     put_zip, relief_putter, rgl_putter,
 )
-from render.mesh_files import assert_frames_hold
+from tests.rendering.mesh_files import assert_frames_hold
 
 import torchmat as tm
 from torchmat.btf.photographs import read_lights, read_linear
 from torchmat.create.textures import find_textures, read_textures
-from torchmat.fit.config import FitConfig, load_config
+from torchmat.fitting.config import FitConfig, load_config
 from torchmat.material_io.folder import check_target
 from torchmat.material_io.packing import unpack
 from torchmat.material_io.relief import load_height
-from torchmat.render.lights import environment_lights
-from torchmat.render.mesh import load_mesh
+from torchmat.rendering.lights import environment_lights
+from torchmat.rendering.mesh import load_mesh
 
 
 @dataclass(frozen=True)

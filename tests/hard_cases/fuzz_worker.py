@@ -12,10 +12,10 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from random import Random
 
-from hard_cases.fuzz_inputs import MADE
-from hard_cases.fuzz_readers import BY_NAME, Reader, digest
-from hard_cases.mutate import NAMES, Change, cut, flip, in_bytes, in_table
-from hard_cases.mutate_formats import (
+from tests.hard_cases.fuzz_inputs import MADE
+from tests.hard_cases.fuzz_readers import BY_NAME, Reader, digest
+from tests.hard_cases.mutate import NAMES, Change, cut, flip, in_bytes, in_table
+from tests.hard_cases.mutate_formats import (
     glb_fields, image_fields, in_glb, in_json, in_png, in_zip, lying_zip, merl_fields, stl_fields, tensor_fields,
     zip_fields,
 )

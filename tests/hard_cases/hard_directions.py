@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 
 import torch
-from brdf.directions import graze
-from models.examples import per_image
+from tests.brdf.directions import graze
+from tests.models.examples import per_image
 from torch import Tensor
 
 

@@ -77,7 +77,7 @@ class Export(Work):
 
     def __init__(self, folder: Path, source: Path) -> None:
         super().__init__(folder, source)
-        from models.examples import make
+        from tests.models.examples import make
 
         import torch
 
@@ -135,7 +135,7 @@ class Volume(Work):
 
     def __init__(self, folder: Path, source: Path) -> None:
         super().__init__(folder, source)
-        from models.examples import make
+        from tests.models.examples import make
 
         import torch
 
@@ -162,7 +162,7 @@ WORKS = (Export, Fitting, Iterative, Pictures, Volume)
 def photographs(folder: Path) -> Path:
     """Write a small folder of photographs with its manifest; return it."""
     import numpy as np
-    from support import all_pairs, hemisphere, plausible_images
+    from tests.support import all_pairs, hemisphere, plausible_images
 
     from torchmat.images import write_image
 
@@ -230,7 +230,7 @@ def _forget(work: Work) -> None:
 
 def main() -> None:
     """The process of its own."""
-    sys.path.insert(0, str(ENTRY.parents[1]))
+    sys.path.insert(0, str(ENTRY.parents[2]))
     folder, count, seed = Path(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3])
     import torch
 

@@ -61,11 +61,11 @@ def repeated(component: str, work: Callable[[int], object], count: int) -> dict:
 
 def main() -> None:
     """The process of its own."""
-    sys.path.insert(0, str(ENTRY.parents[1]))
+    sys.path.insert(0, str(ENTRY.parents[2]))
     count, seed = int(sys.argv[1]), int(sys.argv[2])
     import numpy as np
     import torch
-    from support import all_pairs, hemisphere, plausible_images
+    from tests.support import all_pairs, hemisphere, plausible_images
 
     import torchmat as tm
 

@@ -10,7 +10,7 @@ import zlib
 from io import BytesIO
 from random import Random
 
-from hard_cases.mutate import NAMES, WHOLE, Field, in_bytes, in_tree, set_number
+from tests.hard_cases.mutate import NAMES, WHOLE, Field, in_bytes, in_tree, set_number
 
 _ZIP_LOCAL, _ZIP_CENTRAL, _ZIP_END = b"PK\x03\x04", b"PK\x01\x02", b"PK\x05\x06"
 # Where in a record stand: version, flags, method, CRC, packed and unpacked size, lengths of name and extra.

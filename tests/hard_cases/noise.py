@@ -11,11 +11,11 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
-from support import all_pairs, hemisphere
+from tests.support import all_pairs, hemisphere
 
 import torchmat as tm
 from torchmat import Btf
-from torchmat.fit import evaluate
+from torchmat.fitting import evaluate
 
 RINGS = ((0, 1), (22, 5), (42, 7), (62, 9))
 MODELS = {

@@ -14,7 +14,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import NamedTuple
 
-from hard_cases.components import Room, outcome
+from tests.hard_cases.components import Room, outcome
 
 
 class Settings(NamedTuple):
@@ -41,7 +41,7 @@ def _folder() -> Iterator[Path]:
 def table(settings: Settings) -> Rows:
     """Every case with every component, with all inputs."""
     import torch
-    from hard_cases.table import entries, measured
+    from tests.hard_cases.table import entries, measured
 
     for entry in list(entries()):
         torch.manual_seed(0)
@@ -51,18 +51,18 @@ def table(settings: Settings) -> Rows:
 
 def fuzz(settings: Settings) -> Rows:
     """20,000 changed files."""
-    from hard_cases import fuzz as engine
-    from hard_cases.fuzz_readers import READERS
+    from tests.hard_cases import fuzz as engine
+    from tests.hard_cases.fuzz_readers import READERS
 
     yield from engine.run(settings.count(20_000, len(READERS)), settings.seed)
 
 
 def sweeps(settings: Settings) -> Rows:
     """About 10,000 floats for each input of each public function against mpmath, and of each model against float64 and loops."""
-    from hard_cases import sweep_models
-    from hard_cases import sweeps as engine
-    from hard_cases.sweep_entries import ENTRIES
-    from models.examples import CASES
+    from tests.hard_cases import sweep_models
+    from tests.hard_cases import sweeps as engine
+    from tests.hard_cases.sweep_entries import ENTRIES
+    from tests.models.examples import CASES
 
     for name in ENTRIES:
         yield from engine.run(settings.count(_FLOATS, 4), settings.seed, [name])
@@ -77,7 +77,7 @@ _FLOATS, _PAIRS = 10_000, 800  # 800 draw 12 times as many hard pairs
 
 def conditioning(settings: Settings) -> Rows:
     """Solvers at condition numbers from 1 to 1e12, drawn as conditioning.png."""
-    from hard_cases import conditioning as engine
+    from tests.hard_cases import conditioning as engine
 
     rows = engine.run(settings.count(13, 3), settings.seed)
     engine.plot(rows, settings.out / "conditioning.png")
@@ -86,7 +86,7 @@ def conditioning(settings: Settings) -> Rows:
 
 def noise(settings: Settings) -> Rows:
     """Fits of ever worse photographs, drawn as noise.png; a row tells by how much the worst harm multiplies the error."""
-    from hard_cases import noise as engine
+    from tests.hard_cases import noise as engine
 
     models = None if settings.share >= 1 else {"lambert": {}}
     rows = engine.run(5, settings.seed, models)
@@ -103,7 +103,7 @@ def noise(settings: Settings) -> Rows:
 
 def kills(settings: Settings) -> Rows:
     """At least 200 kills of fits and exports."""
-    from hard_cases import kills as engine
+    from tests.hard_cases import kills as engine
 
     each = -(-settings.count(200, len(engine.WORKS)) // len(engine.WORKS))
     with _folder() as folder:
@@ -112,8 +112,8 @@ def kills(settings: Settings) -> Rows:
 
 def disks(settings: Settings) -> Rows:
     """Disks that fill up at every moment, and ones that nobody may write to, for every writer and for the cache."""
-    from hard_cases import cases_files
-    from hard_cases.writers import writers
+    from tests.hard_cases import cases_files
+    from tests.hard_cases.writers import writers
 
     amounts = range(0, 420, max(4, round(4 / settings.share)))
     for writer in writers():
@@ -136,8 +136,8 @@ def _tried(case: str, component: str, count: int, act: Callable[[Room], int | No
 def cache_on_a_full_disk(room: Room, kilobytes: range) -> int:
     """Load through a cache whose disk fills up: the images are right or it says so; return how often it said so."""
     import torch
-    from hard_cases.kills import photographs
-    from hard_cases.writers import leave_free, small_disk
+    from tests.hard_cases.kills import photographs
+    from tests.hard_cases.writers import leave_free, small_disk
 
     import torchmat as tm
 
@@ -161,14 +161,14 @@ def cache_on_a_full_disk(room: Room, kilobytes: range) -> int:
 
 def digests(settings: Settings) -> Rows:
     """The same bits as stored, with one thread and two, in fresh processes, out of the cache."""
-    from hard_cases import digests as engine
+    from tests.hard_cases import digests as engine
 
     yield from engine.run()
 
 
 def long_runs(settings: Settings) -> Rows:
     """2,000 fits and 2,000 renders in one process."""
-    from hard_cases import long_runs as engine
+    from tests.hard_cases import long_runs as engine
 
     yield from engine.run(settings.count(2000, 20), settings.seed)
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-from hard_cases.components import KINDS
-from hard_cases.table import TABLE, TITLES, summary
+from tests.hard_cases.components import KINDS
+from tests.hard_cases.table import TABLE, TITLES, summary
 
 NAME = "hard_cases"
 

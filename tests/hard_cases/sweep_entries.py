@@ -9,8 +9,8 @@ from __future__ import annotations
 import math
 
 import torch
-from hard_cases import oracles as exact
-from hard_cases.sweeps import Entry, Interval
+from tests.hard_cases import oracles as exact
+from tests.hard_cases.sweeps import Entry, Interval
 
 from torchmat import colour, frames, safe
 from torchmat.geometry import normals, relief

@@ -12,9 +12,9 @@ from collections.abc import Callable
 
 import numpy as np
 import torch
-from hard_cases.floats import neighbours, sweep
-from models.examples import CASES, make_maps, per_image, specs_of
-from reference import materials as oracle
+from tests.hard_cases.floats import neighbours, sweep
+from tests.models.examples import CASES, make_maps, per_image, specs_of
+from tests.reference import materials as oracle
 from torch import Tensor
 
 from torchmat.models import MATERIALS, Material

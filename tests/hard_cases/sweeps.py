@@ -18,7 +18,7 @@ from typing import NamedTuple
 import mpmath
 import numpy as np
 import torch
-from hard_cases.floats import sweep
+from tests.hard_cases.floats import sweep
 from mpmath import mpf
 from torch import Tensor
 
@@ -254,7 +254,7 @@ def _at_point(
 
 def run(count: int = 60, seed: int = 0, only: Sequence[str] | None = None) -> list[dict]:
     """Return the rows of all functions, or of those whose names are in `only`, in both precisions."""
-    from hard_cases.sweep_entries import ENTRIES
+    from tests.hard_cases.sweep_entries import ENTRIES
 
     rows = []
     for name, entry in ENTRIES.items():

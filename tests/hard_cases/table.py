@@ -9,11 +9,11 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
-from hard_cases import cases_files as files
-from hard_cases import cases_fitting as fitting
-from hard_cases import cases_rendering as rendering
-from hard_cases import cases_shading as shading
-from hard_cases.components import KINDS, Check, Component, Room, outcome
+from tests.hard_cases import cases_files as files
+from tests.hard_cases import cases_fitting as fitting
+from tests.hard_cases import cases_rendering as rendering
+from tests.hard_cases import cases_shading as shading
+from tests.hard_cases.components import KINDS, Check, Component, Room, outcome
 
 TITLES = {
     1: "equal, opposite and grazing directions",
@@ -35,6 +35,8 @@ TITLES = {
     17: "ranges and export",
     18: "names, read-only and existing targets",
 }
+# Of the list, but held by no check yet: other makers' files, work changed by the user, and a busy machine.
+NOT_YET_CHECKED = (19, 20, 21)
 
 
 class Row(NamedTuple):
@@ -123,7 +125,7 @@ TABLE: dict[int, dict[str, Row | str]] = {
         "writer": Row(files.same_bytes), "renderer": Row(rendering.same_bits),
     },
     16: {
-        "model": "nothing is written", "solver": "a fit writes nothing; what tiles keep is killed in tests/fit/test_tiled.py",
+        "model": "nothing is written", "solver": "a fit writes nothing; what tiles keep is killed in tests/fitting/test_tiled.py",
         "reader": Row(files.leaves_files), "writer": Row(files.full_disk, "writes that it stopped"), "renderer": "pictures are a writer",
     },
     17: {

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
-from hard_cases import conditioning, conditioning_maps
+from tests.hard_cases import conditioning, conditioning_maps
 
 
 def test_solvers_keep_their_digits_or_say_what_they_dropped():

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
-from hard_cases.cases_fitting import LIGHT, VIEW, btf_of, fitted, predicted, small_options
-from hard_cases.components import Room
-from support import all_pairs, assert_close, plausible_images
+from tests.hard_cases.cases_fitting import LIGHT, VIEW, btf_of, fitted, predicted, small_options
+from tests.hard_cases.components import Room
+from tests.support import all_pairs, assert_close, plausible_images
 
 import torchmat as tm
 from torchmat import FitError

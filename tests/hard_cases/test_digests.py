@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from hard_cases import digests
+from tests.hard_cases import digests
 
-from torchmat.fit import FITTERS
+from torchmat.fitting import FITTERS
 
 
 def test_15_small_fits_give_what_is_stored():

@@ -6,7 +6,7 @@ import math
 
 import pytest
 import torch
-from brdf.directions import graze
+from tests.brdf.directions import graze
 
 from torchmat import frames, safe
 from torchmat.models.bases import BASES

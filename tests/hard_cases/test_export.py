@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
-from hard_cases.components import NotHere
-from hard_cases.writers import leave_free, small_disk, snapshot
-from models.examples import make
-from support import all_pairs, hemisphere, plausible_images
+from tests.hard_cases.components import NotHere
+from tests.hard_cases.writers import leave_free, small_disk, snapshot
+from tests.models.examples import make
+from tests.support import all_pairs, hemisphere, plausible_images
 
 import torchmat as tm
 from torchmat import Btf, DataError, save_material

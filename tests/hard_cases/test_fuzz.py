@@ -10,14 +10,14 @@ from random import Random
 
 import numpy as np
 import pytest
-from hard_cases import fuzz_worker
-from hard_cases.faults import misbehave
-from hard_cases.fuzz import Found, fuzz, rows_of
-from hard_cases.fuzz_readers import READERS, Reader
-from hard_cases.fuzz_worker import ACCEPTED, REFUSED, Judge, mutated, put_tree, tree_of
-from hard_cases.mutate import cut, flip
-from hard_cases.mutate_formats import png_chunks, png_of
-from hard_cases.worker import CRASH, HANG, Worker
+from tests.hard_cases import fuzz_worker
+from tests.hard_cases.faults import misbehave
+from tests.hard_cases.fuzz import Found, fuzz, rows_of
+from tests.hard_cases.fuzz_readers import READERS, Reader
+from tests.hard_cases.fuzz_worker import ACCEPTED, REFUSED, Judge, mutated, put_tree, tree_of
+from tests.hard_cases.mutate import cut, flip
+from tests.hard_cases.mutate_formats import png_chunks, png_of
+from tests.hard_cases.worker import CRASH, HANG, Worker
 
 from torchmat import DataError
 
@@ -150,7 +150,7 @@ def test_cutting_and_flipping_always_change_something():
 
 
 def test_a_png_put_together_again_is_the_same(tmp_path):
-    from btf.files import put_image, random_codes
+    from tests.btf.files import put_image, random_codes
 
     data = put_image(tmp_path / "a.png", random_codes(0)).read_bytes()
     assert png_of(png_chunks(data)) == data

@@ -7,15 +7,15 @@ import math
 import numpy as np
 import pytest
 import torch
-from brdf.directions import graze
-from fit.reference_scene import centres, relief_scene
-from hard_cases.cases_shading import bumps, shaded
-from models.examples import make
-from support import all_pairs, assert_close, hemisphere, plausible_images
+from tests.brdf.directions import graze
+from tests.fitting.reference_scene import centres, relief_scene
+from tests.hard_cases.cases_shading import bumps, shaded
+from tests.models.examples import make
+from tests.support import all_pairs, assert_close, hemisphere, plausible_images
 
 import torchmat as tm
 from torchmat import Btf, FitError, RangeError, ShapeError
-from torchmat.fit import FITTERS, predict, recover_geometry
+from torchmat.fitting import FITTERS, predict, recover_geometry
 from torchmat.geometry import normals_from_slopes, poisson, slopes_from_height, soft_shadow, trace_view, visible
 from torchmat.geometry.relief import texel_centres
 

@@ -9,12 +9,12 @@ import zipfile
 import numpy as np
 import pytest
 import torch
-from brdf.files import rgl_fields, tensor_bytes
-from btf.files import ANGLES, HEADER, members_of, put_btf, put_image, put_manifest, random_codes, zip_of
-from hard_cases.fuzz_readers import BY_NAME
-from models.distributions import distribution
-from render.mesh_files import SQUARE, SQUARE_UV, TWO, glb_of, put_obj, put_ply, put_stl
-from support import assert_close
+from tests.brdf.files import rgl_fields, tensor_bytes
+from tests.btf.files import ANGLES, HEADER, members_of, put_btf, put_image, put_manifest, random_codes, zip_of
+from tests.hard_cases.fuzz_readers import BY_NAME
+from tests.models.distributions import distribution
+from tests.rendering.mesh_files import SQUARE, SQUARE_UV, TWO, glb_of, put_obj, put_ply, put_stl
+from tests.support import assert_close
 
 from torchmat import DataError, RangeError, load_brdf, load_btf, load_config, load_material
 from torchmat.brdf import AnalyticBrdf, brdf_kind
@@ -25,7 +25,7 @@ from torchmat.images import read_image, write_image
 from torchmat.material_io.folder import check_target
 from torchmat.material_io.packing import DESCRIPTION, pack, unpack
 from torchmat.material_io.relief import load_height
-from torchmat.render.mesh import load_mesh
+from torchmat.rendering.mesh import load_mesh
 from torchmat.report.describe import is_brdf, is_material
 from torchmat.text_file import MOST_BYTES, read_json, read_text
 

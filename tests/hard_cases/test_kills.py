@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from hard_cases import kills
+from tests.hard_cases import kills
 
 from torchmat import DataError
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from hard_cases import long_runs
+from tests.hard_cases import long_runs
 
 
 def test_fits_and_renders_leave_no_memory_behind():

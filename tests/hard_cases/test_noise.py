@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from hard_cases import noise
+from tests.hard_cases import noise
 
 
 @pytest.fixture(scope="module")

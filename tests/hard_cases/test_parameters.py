@@ -6,7 +6,7 @@ import math
 
 import pytest
 import torch
-from models.examples import LOBES, directions, make, make_maps, per_image
+from tests.models.examples import LOBES, directions, make, make_maps, per_image
 
 from torchmat import safe
 from torchmat.models import PhongSrf

@@ -1,4 +1,4 @@
-"""Hard cases 13 and 15 through whole fits; the solvers by themselves are in tests/fit."""
+"""Hard cases 13 and 15 through whole fits; the solvers by themselves are in tests/fitting."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ import math
 import numpy as np
 import pytest
 import torch
-from hard_cases import conditioning
-from support import all_pairs, assert_close, hemisphere, plausible_images
+from tests.hard_cases import conditioning
+from tests.support import all_pairs, assert_close, hemisphere, plausible_images
 
 import torchmat as tm
 from torchmat import Btf
-from torchmat.fit.levenberg_marquardt import levenberg_marquardt
-from torchmat.fit.reasons import CONVERGED, STEP_LIMIT
 from torchmat.models.lobes import LOBES
+from torchmat.solvers.levenberg_marquardt import levenberg_marquardt
+from torchmat.solvers.stop_reasons import CONVERGED, STEP_LIMIT
 
 LIGHT, VIEW = all_pairs(hemisphere(), hemisphere())
 TRUTH = {

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from hard_cases import parts, stress_report
-from hard_cases.parts import PARTS, Settings
+from tests.hard_cases import parts, stress_report
+from tests.hard_cases.parts import PARTS, Settings
 
 ROW = {"case": 1, "kind": "model", "component": "a", "count": 1, "passed": True, "figure": 5.0, "unit": "digits", "note": ""}
 
@@ -24,7 +24,7 @@ def test_a_cache_on_a_full_disk_brings_the_images_or_says_so():
 
 
 def test_a_digest_is_compared_in_every_way(monkeypatch):
-    from hard_cases import digests
+    from tests.hard_cases import digests
 
     one = {"ptm": {"digest": "a", "numbers": [0.1, 0.2, 0.3]}}
     monkeypatch.setattr(digests, "stored", lambda: {"numbers": {"ptm": [0.1, 0.2, 0.3]}, "digests": {}})

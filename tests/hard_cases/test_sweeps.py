@@ -9,11 +9,11 @@ import mpmath
 import numpy as np
 import pytest
 import torch
-from hard_cases import sweep_models, sweeps
-from hard_cases.floats import from_ordinals, neighbours, ordinals, sweep
-from hard_cases.sweep_entries import ENTRIES
-from models.examples import CASES
-from support import assert_close
+from tests.hard_cases import sweep_models, sweeps
+from tests.hard_cases.floats import from_ordinals, neighbours, ordinals, sweep
+from tests.hard_cases.sweep_entries import ENTRIES
+from tests.models.examples import CASES
+from tests.support import assert_close
 
 from torchmat import colour, frames, safe
 from torchmat.brdf.analytic import ANALYTIC

@@ -6,11 +6,11 @@ import re
 from pathlib import Path
 
 import pytest
-from hard_cases import table
-from hard_cases.components import KINDS, NotHere, Room
-from hard_cases.table import TABLE, TITLES, Entry, Row, entries, measured, summary
+from tests.hard_cases import table
+from tests.hard_cases.components import KINDS, NotHere, Room
+from tests.hard_cases.table import NOT_YET_CHECKED, TABLE, TITLES, Entry, Row, entries, measured, summary
 
-from torchmat.fit.registry import FITTERS, SOLVERS
+from torchmat.fitting.recipes import FITTERS, SOLVERS
 from torchmat.models import MATERIALS, Texture
 from torchmat.models.storage import STORAGES
 
@@ -41,7 +41,7 @@ def test_the_cases_are_those_of_the_list():
     if not LISTED.exists():
         pytest.skip("the list of hard cases is not on this machine")
     numbers = [int(found) for found in re.findall(r"^(\d+)\. ", LISTED.read_text("utf-8"), re.MULTILINE)]
-    assert numbers == list(TITLES)
+    assert numbers == [*TITLES, *NOT_YET_CHECKED]
 
 
 def test_everything_registered_is_in_the_table():

@@ -14,10 +14,10 @@ from typing import Any
 
 import numpy as np
 import torch
-from hard_cases.components import NotHere
-from models.distributions import ALL_PARTS, distribution
-from models.examples import make
-from support import all_pairs, hemisphere, plausible_images
+from tests.hard_cases.components import NotHere
+from tests.models.distributions import ALL_PARTS, distribution
+from tests.models.examples import make
+from tests.support import all_pairs, hemisphere, plausible_images
 from torch import Tensor
 
 import torchmat as tm
@@ -28,7 +28,7 @@ from torchmat.material_io import load_material, save_material
 from torchmat.material_io.packing import pack, packed, unpack
 from torchmat.material_io.relief import DEPTHS, load_height, save_relief
 from torchmat.models.storage import STORAGES
-from torchmat.render.files import write_picture
+from torchmat.rendering.files import write_picture
 from torchmat.report import write_fit
 
 Maps = dict[str, Tensor]

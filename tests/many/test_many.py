@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from support import all_pairs, hemisphere, plausible_images
+from tests.support import all_pairs, hemisphere, plausible_images
 
 from torchmat import DataError, FitConfig, RangeError, fit, load_btf, load_material
 from torchmat.cli import main

@@ -8,7 +8,7 @@ import shutil
 import numpy as np
 import pytest
 import torch
-from models.examples import make
+from tests.models.examples import make
 
 from torchmat import DataError, load_material, save_material
 from torchmat.images import read_image, write_image

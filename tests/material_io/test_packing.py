@@ -8,9 +8,9 @@ import math
 import numpy as np
 import pytest
 import torch
-from models.distributions import ALL_PARTS, distribution, shaded
-from models.examples import make
-from support import assert_close
+from tests.models.distributions import ALL_PARTS, distribution, shaded
+from tests.models.examples import make
+from tests.support import assert_close
 
 from torchmat import DataError, RangeError, safe
 from torchmat.images import read_image, write_image

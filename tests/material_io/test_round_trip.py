@@ -7,8 +7,8 @@ import json
 import numpy as np
 import pytest
 import torch
-from models.examples import CASES, directions, make, per_image
-from support import assert_close
+from tests.models.examples import CASES, directions, make, per_image
+from tests.support import assert_close
 
 from torchmat import DataError, RangeError, load_material, save_material
 from torchmat.images import read_image, write_image

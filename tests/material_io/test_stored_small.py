@@ -7,7 +7,7 @@ import json
 import numpy as np
 import pytest
 import torch
-from models.examples import CASES, make
+from tests.models.examples import CASES, make
 
 from torchmat import DataError, load_material, save_material
 from torchmat.images import read_image, write_image

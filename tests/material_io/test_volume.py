@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
-from models.examples import make
-from support import shared_path
+from tests.models.examples import make
+from tests.support import shared_path
 
 from torchmat import DataError, RangeError, load_material, save_material
 from torchmat.material_io import check_target

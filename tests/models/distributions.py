@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 import torch
-from models.examples import directions, per_image
+from tests.models.examples import directions, per_image
 
 from torchmat.models import Distribution
 from torchmat.models.distribution import default_tilt

@@ -10,7 +10,7 @@ import math
 import numpy as np
 import pytest
 import torch
-from support import all_pairs, assert_close, hemisphere
+from tests.support import all_pairs, assert_close, hemisphere
 
 from torchmat.models import MATERIALS, Material
 from torchmat.models.distribution import DISTRIBUTION_PARTS, default_tilt

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
-from models.examples import assert_same, directions
-from reference.interpolate import plane_value
-from support import all_pairs, hemisphere
+from tests.models.examples import assert_same, directions
+from tests.reference.interpolate import plane_value
+from tests.support import all_pairs, hemisphere
 
 from torchmat.models.angular import NEIGHBOURS, neighbour_weights, pairs, projected
 

@@ -7,8 +7,8 @@ import math
 import numpy as np
 import pytest
 import torch
-from models.examples import assert_same, directions, per_image
-from reference.bases import BASES as ORACLE
+from tests.models.examples import assert_same, directions, per_image
+from tests.reference.bases import BASES as ORACLE
 
 from torchmat import frames
 from torchmat.models.bases import BASES

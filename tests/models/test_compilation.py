@@ -2,7 +2,7 @@
 
 import pytest
 import torch
-from models.examples import directions, make, per_image
+from tests.models.examples import directions, make, per_image
 
 from torchmat.models import can_compile, compilation, compiled
 

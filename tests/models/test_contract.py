@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
-from models.examples import CASES, EXAMPLE_OPTIONS, assert_same, directions, make, make_maps, per_image, per_texel, specs_of
-from reference import materials as oracle
-from reference.gradient import central
-from support import TOLERANCE
+from tests.models.examples import CASES, EXAMPLE_OPTIONS, assert_same, directions, make, make_maps, per_image, per_texel, specs_of
+from tests.reference import materials as oracle
+from tests.reference.gradient import central
+from tests.support import TOLERANCE
 
 from torchmat.errors import RangeError, ShapeError
 from torchmat.models import MATERIALS, Material

@@ -7,8 +7,8 @@ import math
 import numpy as np
 import pytest
 import torch
-from models.examples import assert_same, directions, make_maps, per_image
-from reference import materials as oracle
+from tests.models.examples import assert_same, directions, make_maps, per_image
+from tests.reference import materials as oracle
 
 from torchmat import RangeError, ShapeError, load_material, save_material
 from torchmat.models import Distribution, Lambert

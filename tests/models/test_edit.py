@@ -7,9 +7,9 @@ from fractions import Fraction
 
 import pytest
 import torch
-from models.distributions import ALL_PARTS, distribution, shaded, unit
-from models.examples import make
-from support import assert_close
+from tests.models.distributions import ALL_PARTS, distribution, shaded, unit
+from tests.models.examples import make
+from tests.support import assert_close
 
 from torchmat import RangeError, ShapeError
 from torchmat.models.edit import (

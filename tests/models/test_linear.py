@@ -6,7 +6,7 @@ import math
 
 import pytest
 import torch
-from models.examples import assert_same, make, make_maps
+from tests.models.examples import assert_same, make, make_maps
 
 from torchmat.errors import RangeError
 from torchmat.models import Hsh, Lambert, Lptm, Ptm, Texture

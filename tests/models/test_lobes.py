@@ -6,10 +6,10 @@ import math
 
 import pytest
 import torch
-from models.examples import LOBES as EXAMPLES
-from models.examples import assert_same, directions, per_image
-from reference.gradient import central
-from reference.lobes import LOBES as ORACLE
+from tests.models.examples import LOBES as EXAMPLES
+from tests.models.examples import assert_same, directions, per_image
+from tests.reference.gradient import central
+from tests.reference.lobes import LOBES as ORACLE
 
 from torchmat.models.lobes import LOBES
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 import torch
-from models.examples import assert_same, directions, make, make_maps, per_image, per_texel
+from tests.models.examples import assert_same, directions, make, make_maps, per_image, per_texel
 
 import torchmat.models.neural as neural
 from torchmat import RangeError, ShapeError

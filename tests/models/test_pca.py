@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 import torch
-from models.examples import assert_same, known_directions, make, make_maps
+from tests.models.examples import assert_same, known_directions, make, make_maps
 
 from torchmat.errors import RangeError, ShapeError
 from torchmat.models import LocalPca, Pca

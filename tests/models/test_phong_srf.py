@@ -6,7 +6,7 @@ import math
 
 import pytest
 import torch
-from models.examples import LOBES, assert_same, directions, make, make_maps, per_image
+from tests.models.examples import LOBES, assert_same, directions, make, make_maps, per_image
 
 from torchmat.errors import RangeError
 from torchmat.models import PhongSrf

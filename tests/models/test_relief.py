@@ -10,11 +10,11 @@ import math
 import numpy as np
 import pytest
 import torch
-from models.examples import CASES, assert_same, directions, make, make_maps, per_image, per_texel
-from reference import materials as flat_oracle
-from reference import relief as oracle
-from reference.gradient import central
-from support import TOLERANCE
+from tests.models.examples import CASES, assert_same, directions, make, make_maps, per_image, per_texel
+from tests.reference import materials as flat_oracle
+from tests.reference import relief as oracle
+from tests.reference.gradient import central
+from tests.support import TOLERANCE
 
 from torchmat import load_material, save_material
 from torchmat.errors import DataError, RangeError, ShapeError

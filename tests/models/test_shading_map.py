@@ -7,8 +7,8 @@ import math
 import numpy as np
 import pytest
 import torch
-from models.examples import assert_same, directions, make, per_image, per_texel
-from support import assert_close
+from tests.models.examples import assert_same, directions, make, per_image, per_texel
+from tests.support import assert_close
 
 from torchmat.brdf.analytic_brdf import AnalyticBrdf
 from torchmat.brdf.base import Brdf

@@ -7,9 +7,9 @@ import math
 import numpy as np
 import pytest
 import torch
-from models.examples import assert_same, directions, per_image
-from reference import materials as oracle
-from support import assert_close
+from tests.models.examples import assert_same, directions, per_image
+from tests.reference import materials as oracle
+from tests.support import assert_close
 
 from torchmat.brdf import AnalyticBrdf
 from torchmat.errors import RangeError, ShapeError

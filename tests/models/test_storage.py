@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
-from models.examples import assert_same
-from reference import colour as oracle
+from tests.models.examples import assert_same
+from tests.reference import colour as oracle
 
 from torchmat.errors import RangeError
 from torchmat.models.storage import STORAGES, MapSpec, check_map, decode, encode

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
-from models.examples import CASES, directions, make, per_image
-from support import assert_close
+from tests.models.examples import CASES, directions, make, per_image
+from tests.support import assert_close
 
 from torchmat.errors import RangeError
 from torchmat.models import Distribution, Texture, blend

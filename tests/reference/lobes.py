@@ -2,7 +2,7 @@
 
 import math
 
-from reference.bases import half_vector
+from tests.reference.bases import half_vector
 
 
 def phong(parameters, light, view):

@@ -3,10 +3,10 @@
 import math
 
 import numpy as np
-from reference import brdf as reference_brdf
-from reference.bases import BASES, half_vector
-from reference.interpolate import plane_value
-from reference.lobes import LOBES
+from tests.reference import brdf as reference_brdf
+from tests.reference.bases import BASES, half_vector
+from tests.reference.interpolate import plane_value
+from tests.reference.lobes import LOBES
 
 
 def _weighted(terms, coefficients):

@@ -7,8 +7,8 @@ import json
 import numpy as np
 import pytest
 import torch
-from fit.auto_data import shorten_fits
-from support import all_pairs, hemisphere
+from tests.fitting.auto_data import shorten_fits
+from tests.support import all_pairs, hemisphere
 
 import torchmat as tm
 from torchmat import Btf

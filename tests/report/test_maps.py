@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 import torch
-from models.examples import CASES, make
+from tests.models.examples import CASES, make
 
 from torchmat.create import material_from_picture
 from torchmat.errors import DataError, RangeError, ShapeError

@@ -8,7 +8,7 @@ import re
 
 import numpy as np
 import pytest
-from support import all_pairs, hemisphere, plausible_images
+from tests.support import all_pairs, hemisphere, plausible_images
 
 import torchmat as tm
 from torchmat import Btf, DataError, RangeError

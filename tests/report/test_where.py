@@ -7,9 +7,9 @@ import math
 import numpy as np
 import pytest
 import torch
-from models.distributions import distribution
-from models.examples import make
-from support import all_pairs, assert_close, hemisphere, plausible_images
+from tests.models.distributions import distribution
+from tests.models.examples import make
+from tests.support import all_pairs, assert_close, hemisphere, plausible_images
 
 from torchmat import Btf, RangeError, ShapeError, evaluate
 from torchmat.btf.decode import Decoder

@@ -90,7 +90,7 @@ class Create:
 
     def _from_brdf(self):
         from torchmat import load_brdf
-        from torchmat.fit.sphere_images import fit_sphere_images
+        from torchmat.fitting.models.spheres.to_brdf import fit_sphere_images
         from torchmat.models import SphereImages
 
         brdf = load_brdf(self.path)

@@ -32,10 +32,10 @@ class Fit:
     read: Annotated[DataArguments, tyro.conf.arg(name="")] = field(default_factory=DataArguments)
 
     def run(self) -> None:
-        from torchmat.fit import fit, load_config
-        from torchmat.fit.auto import NOT_MET
+        from torchmat.fitting import fit, load_config
+        from torchmat.fitting.choice.choose import NOT_MET
         from torchmat.material_io import check_target, load_height
-        from torchmat.render.scene_file import load_scene
+        from torchmat.rendering.scene_file import load_scene
         from torchmat.report import write_fit
         from torchmat.report.decisions import outcome_text
         from torchmat.report.tables import fit_tables

@@ -55,7 +55,7 @@ class FitMany:
 
     def _jobs(self):
         from torchmat.errors import RangeError, message
-        from torchmat.fit import load_config
+        from torchmat.fitting import load_config
         from torchmat.many import jobs_of, load_jobs
 
         read = self.read.keywords()

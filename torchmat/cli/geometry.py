@@ -67,7 +67,7 @@ class Geometry:
         else:
             btf = self.read.load(self.path)
             if len(btf.views) > 1:
-                from torchmat.fit import recover_geometry
+                from torchmat.fitting import recover_geometry
 
                 found = recover_geometry(btf, tiles=self.tiles)
                 print("; ".join(f"{key}: {value}" for key, value in found.figures.items()))

@@ -63,7 +63,7 @@ class Render:
     def run(self) -> None:
         from torchmat.report.describe import is_material
 
-        from torchmat.render.scene_file import load_scene
+        from torchmat.rendering.scene_file import load_scene
 
         scene = None if self.scene is None else load_scene(self.scene)
         shader = self._load()
@@ -83,8 +83,8 @@ class Render:
 
     def _of_scene(self, shader, scene, folder: Path) -> list[Path]:
         from torchmat.errors import RangeError, message
-        from torchmat.render import render
-        from torchmat.render.files import write_picture
+        from torchmat.rendering import render
+        from torchmat.rendering.files import write_picture
 
         if self.mesh or self.light or self.point or self.environment or self.turntable or self.sweep:
             fact, step = "others are given beside it", "Write them into the scene file, or leave --scene out."
@@ -108,7 +108,7 @@ class Render:
 
     def _load(self):
         from torchmat import load_brdf, load_material
-        from torchmat.render.raw_btf import RawBtf
+        from torchmat.btf.interpolated import RawBtf
         from torchmat.report.describe import is_brdf, is_material
 
         if is_material(self.material):
@@ -119,8 +119,8 @@ class Render:
 
     def _lights(self) -> list:
         from torchmat.btf.photographs import read_linear
-        from torchmat.render import Directional, Point, environment_lights
-        from torchmat.render.lights import DEFAULT_LIGHT
+        from torchmat.rendering import Directional, Point, environment_lights
+        from torchmat.rendering.lights import DEFAULT_LIGHT
 
         lights = [*map(Directional, self.light), *map(Point, self.point)]
         if self.environment is not None:
@@ -128,10 +128,10 @@ class Render:
         return lights or [Directional(DEFAULT_LIGHT)]
 
     def _pictures(self, shader, mesh: str, lights: list, stem: Path) -> list[Path]:
-        from torchmat.render import Camera, render
-        from torchmat.render.files import write_picture
-        from torchmat.render.mesh import as_mesh
-        from torchmat.render.render import PATCH
+        from torchmat.rendering import Camera, render
+        from torchmat.rendering.as_mesh import as_mesh
+        from torchmat.rendering.files import write_picture
+        from torchmat.rendering.render import PATCH
 
         usual = _SPHERE_REPEAT if mesh == "sphere" else 1.0
         repeat = usual if self.repeat is None else self.repeat
@@ -147,9 +147,9 @@ class Render:
         return write_picture(picture, stem.with_suffix(".png"), self.exposure, self.exr)
 
     def _animate(self, shader, body, lights: list, repeat: float, stem: Path) -> list[Path]:
-        from torchmat.render.animate import contact_sheet, write_animation
-        from torchmat.render.files import write_picture
-        from torchmat.render.sequences import light_sweep, turntable
+        from torchmat.rendering.animate import contact_sheet, write_animation
+        from torchmat.rendering.files import write_picture
+        from torchmat.rendering.sequences import light_sweep, turntable
 
         angle = None if self.field_of_view_deg is None else math.radians(self.field_of_view_deg)
         common = {

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from torchmat.errors import DataError, RangeError, check_known_keys, message
-from torchmat.fit import FitConfig, load_config
-from torchmat.fit.registry import AUTO, resolve_options
+from torchmat.fitting import FitConfig, load_config
+from torchmat.fitting.recipes import AUTO, resolve_options
 from torchmat.report.tables import to_json
 from torchmat.text_file import read_toml
 

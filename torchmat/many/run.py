@@ -69,7 +69,7 @@ def _reason(future: Any) -> str:
 def fit_one(job: Job, pictures: bool = False) -> dict[str, Any]:
     """Fit one job in this process and write its result; return its row."""
     from torchmat.btf import load_btf
-    from torchmat.fit import fit
+    from torchmat.fitting import fit
     from torchmat.material_io import check_target, load_height
     from torchmat.report import write_fit
 

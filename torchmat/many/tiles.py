@@ -12,12 +12,12 @@ from torch import Tensor
 
 from torchmat.btf import Btf, load_btf
 from torchmat.errors import DataError, message
-from torchmat.fit import FitResult, fit
-from torchmat.fit.tile_memory import USUAL_SIDE
-from torchmat.fit.tile_plan import TilePart, TilePlan
-from torchmat.fit.tiled import fit_tile, tiles_fitted_by
-from torchmat.fit.training import Training
-from torchmat.fit.window import Window
+from torchmat.fitting import FitResult, fit
+from torchmat.fitting.relief.window import Window
+from torchmat.fitting.tiles.fit import fit_tile, tiles_fitted_by
+from torchmat.fitting.tiles.memory import USUAL_SIDE
+from torchmat.fitting.tiles.plan import TilePart, TilePlan
+from torchmat.fitting.training import Training
 from torchmat.many.cluster import cluster
 from torchmat.many.jobs import Job
 

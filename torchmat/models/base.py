@@ -15,8 +15,8 @@ from torchmat.errors import RangeError, ShapeError, check_known_keys, check_opti
 from torchmat.geometry.relief import look_up
 from torchmat.models.cutout import Cutout
 from torchmat.models.relief import PARTS, shade_points, shade_texels
-from torchmat.models.storage import STORAGES, MapSpec, StoredAs, check_map, check_stored
 from torchmat.models.storable import Storable
+from torchmat.models.storage import STORAGES, MapSpec, StoredAs, check_map, check_stored
 from torchmat.repeatable import wide_product
 
 

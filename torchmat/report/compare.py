@@ -9,8 +9,8 @@ from typing import Any
 from torchmat import atomic
 from torchmat.btf import Btf, split_samples
 from torchmat.errors import RangeError, check_option, message
-from torchmat.fit.on_relief import GEOMETRIES
-from torchmat.fit.registry import SOLVERS, resolve_options
+from torchmat.fitting.on_relief import GEOMETRIES
+from torchmat.fitting.recipes import SOLVERS, resolve_options
 from torchmat.progress import progress as progress_bar
 from torchmat.report.compare_plots import PLOTS, write_plots
 from torchmat.report.compare_rows import Entry, Setting, entry_of, judged, make_row, mark_fronts, parse_model

@@ -10,11 +10,11 @@ import torch
 
 from torchmat.btf import Btf
 from torchmat.errors import FitError, RangeError, check_option, message
-from torchmat.fit import FitResult, fit
-from torchmat.fit.config import parse_value
-from torchmat.fit.evaluate import evaluate, evaluate_parts
-from torchmat.fit.on_relief import GEOMETRIES
-from torchmat.fit.registry import AUTO, resolve_options
+from torchmat.fitting import FitResult, fit
+from torchmat.fitting.config import parse_value
+from torchmat.fitting.evaluate import evaluate, evaluate_parts
+from torchmat.fitting.on_relief import GEOMETRIES
+from torchmat.fitting.recipes import AUTO, resolve_options
 from torchmat.machine import MemoryMark
 from torchmat.report.tables import COMPARE_COLUMNS
 

@@ -15,7 +15,7 @@ from torchmat.create.controls import rotation_to_hue
 from torchmat.errors import RangeError, ShapeError, check_finite, message
 from torchmat.models import Material
 from torchmat.models.storage import MapSpec
-from torchmat.render import render
+from torchmat.rendering import render
 from torchmat.report.pictures import plotting, save_figure
 from torchmat.report.tables import number
 

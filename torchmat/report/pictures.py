@@ -11,9 +11,9 @@ from torch import Tensor
 from torchmat import colour, frames
 from torchmat.btf import Btf
 from torchmat.errors import DataError, message
-from torchmat.fit import FitResult, predict
+from torchmat.fitting import FitResult, predict
 from torchmat.geometry import Relief, normals_from_slopes, slopes_from_height
-from torchmat.render import render
+from torchmat.rendering import render
 
 DPI = 120
 

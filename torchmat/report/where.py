@@ -10,7 +10,7 @@ from torch import Tensor
 from torchmat import colour
 from torchmat.btf import Btf
 from torchmat.errors import RangeError, ShapeError, message
-from torchmat.fit import predict
+from torchmat.fitting import predict
 from torchmat.models import Material
 from torchmat.report.pictures import plotting, save_figure
 

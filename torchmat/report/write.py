@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from torchmat.btf import Btf
-from torchmat.fit import FitResult, evaluate
-from torchmat.fit.evaluate import comparable
+from torchmat.fitting import FitResult, evaluate
+from torchmat.fitting.evaluate import comparable
 from torchmat.frames import half_vector
 from torchmat.material_io import packed, save_material
 from torchmat.models import Distribution

@@ -1,0 +1,191 @@
+"""Refit: kept maps have the same bits, the others follow the images, and nothing gets worse."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+import torch
+from tests.models.distributions import ALL_PARTS, distribution
+from tests.models.examples import make
+from tests.support import all_pairs, assert_close, hemisphere, plausible_images
+
+import torchmat as tm
+from torchmat import Btf, RangeError, ShapeError
+from torchmat.fitting.evaluate import predict
+from torchmat.fitting.refit import _Refit, refit
+from torchmat.fitting.relief.surface import bring_onto
+from torchmat.fitting.training import make_training
+from torchmat.models.edit import replace_map
+
+RINGS = ((0, 1), (30, 3), (60, 5))
+LIGHT, VIEW = all_pairs(hemisphere(RINGS), hemisphere(RINGS))
+
+
+@pytest.fixture(scope="module")
+def btf():
+    """9 lights x 9 views of 6 x 6 texels, by NumPy."""
+    return Btf.from_tensors(plausible_images(LIGHT, VIEW, 6, 6).astype(np.float32), LIGHT, VIEW)
+
+
+@pytest.fixture(scope="module")
+def fitted(btf):
+    options = {"lobes": 1, "fresnel": "no", "rotation": "no", "effort": 0.05, "specular_size": 8}
+    return tm.fit(btf, "distribution", measure=False, **options).material
+
+
+def begun(btf, material, kept=()):
+    """Return a refit at its start and its parameters."""
+    training = make_training(btf, torch.arange(len(btf)), 0, material.tiles, material.dtype, False)
+    flat = torch.zeros(1, btf.height, btf.width, dtype=material.dtype)
+    height = material.maps["height"].detach() if material.has_relief else flat
+    with torch.no_grad():
+        run = _Refit(bring_onto(training, height), material, list(kept), 1.0)
+        return run, run._raw()
+
+
+@pytest.mark.parametrize("relief", [False, True])
+@pytest.mark.parametrize("kept", [(), ("normal",), ("diffuse", "index"), ("rotation", "fresnel", "specular")])
+def test_the_parameters_stand_for_the_maps(btf, kept, relief):
+    material = distribution(6, 6, 3, ALL_PARTS, relief=relief)
+    run, raw = begun(btf, material, (*kept, "tilt"))
+    assert not {"slopes" if name == "normal" else name for name in (*kept, "tilt", "height")} & set(raw)
+    with torch.no_grad():
+        back = run._result(raw)
+    for name, value in material.maps.items():
+        if name in (*kept, "tilt", "height"):
+            assert torch.equal(back.maps[name], value), name
+        else:
+            # logarithms, logits and angles in float32, and slopes that a steep normal makes long
+            assert_close(back.maps[name], value.detach(), 2e-4 if name == "fresnel" else 2e-5)
+
+
+def test_a_start_at_the_end_of_a_range_is_moved_off_it(btf):
+    material = distribution(6, 6, 2, ("specular_mask", "fresnel"))
+    zero, corner = torch.zeros(1, 6, 6), torch.stack((torch.ones(6, 6), torch.zeros(6, 6)))
+    material = material.with_maps(
+        diffuse=torch.zeros(3, 6, 6), specular=torch.zeros(6, 6, 6), specular_mask=zero, fresnel=zero, index=corner
+    )
+    run, raw = begun(btf, material)
+    assert all(bool(torch.isfinite(value).all()) for value in raw.values())
+    with torch.no_grad():
+        for name, value in run._result(raw).maps.items():
+            assert float((value - material.maps[name]).abs().max()) < 2e-4, name
+
+
+def test_what_is_predicted_at_the_start_is_what_the_material_shades(btf):
+    material = distribution(6, 6, 2, ALL_PARTS, mask_channels=3, fresnel_exponent=1.0)
+    run, raw = begun(btf, material, ("tilt",))
+    rows = torch.arange(len(btf))
+    with torch.no_grad():
+        found = run._predict(raw, None, run.surface, rows)
+    assert_close(found, predict(material, btf, rows), 1e-4)
+
+
+def test_ambient_light_counts_whether_kept_or_not(btf):
+    material = distribution(6, 6, 1, ("specular_mask",), relief=True)
+    dark = material.with_maps(ambient=torch.zeros(3, 6, 6))
+    rows = torch.arange(9)
+    with torch.no_grad():
+        kept, free, none = (
+            run._predict(raw, None, run.surface, rows)
+            for run, raw in (begun(btf, material, ["ambient"]), begun(btf, material), begun(btf, dark, ["ambient"]))
+        )
+    assert_close(kept, free)
+    assert_close(kept - none, material.maps["ambient"].detach().expand(9, -1, -1, -1), 1e-5)
+
+
+def test_a_moved_height_moves_the_normals(btf):
+    material = distribution(6, 6, 1, ("normal", "specular_mask"), relief=True)
+    run, raw = begun(btf, material, ["normal"])
+    with torch.no_grad():
+        run._move_height(raw, None)
+        expected = material.with_maps(height=run.height).surface().maps["normal"]
+    assert not torch.equal(run.height, material.maps["height"])
+    assert torch.equal(run.template.maps["normal"], expected)
+
+
+KEPT = [("diffuse",), ("normal", "specular_mask"), ("specular",), ("diffuse", "normal", "specular")]
+
+
+@pytest.mark.parametrize("keep", KEPT)
+def test_kept_maps_have_the_same_bits_and_the_others_repair_the_damage(btf, fitted, keep):
+    spoilt = fitted.with_maps(**{
+        name: 0.4 * fitted.maps[name] for name in ("diffuse", "specular_mask") if name not in keep
+    })
+    found = refit(btf, spoilt, keep, effort=0.06)
+    for name in keep:
+        assert torch.equal(found.material.maps[name], spoilt.maps[name])
+    changed = [name for name in spoilt.maps if name not in keep]
+    assert all(not torch.equal(found.material.maps[name], spoilt.maps[name]) for name in changed)
+    before, after = found.report["held_out_before"], found.report["held_out_after"]
+    assert found.report["improved"] and found.report["kept"] == [name for name in spoilt.maps if name in keep]
+    if "diffuse" not in keep:
+        assert after["psnr_db"] > before["psnr_db"] + 6
+    assert found.report["train_after"]["psnr_db"] > found.report["train_before"]["psnr_db"]
+    assert found.report["seconds"] > 0
+
+
+def test_a_painted_map_stays_and_the_rest_follows(btf, fitted):
+    painted = replace_map(fitted, "diffuse", torch.tensor([0.3, 0.3, 0.3])[:, None, None])
+    found = refit(btf, painted, ["diffuse"], effort=0.06)
+    assert torch.equal(found.material.maps["diffuse"], painted.maps["diffuse"])
+    assert found.report["held_out_after"]["mse"] < found.report["held_out_before"]["mse"]
+
+
+def test_the_truth_is_not_left(btf):
+    """Images of the material itself: there is nothing to gain, so the same maps come back."""
+    material = distribution(6, 6, 1, ("specular_mask",))
+    with torch.no_grad():
+        light, view = (torch.from_numpy(rows).float()[:, :, None, None] for rows in (LIGHT, VIEW))
+        own = Btf.from_tensors(material.shade(light, view), LIGHT, VIEW)
+    found = refit(own, material, ["specular"], effort=0.01)
+    assert not found.report["improved"]
+    assert found.report["held_out_after"] == found.report["held_out_before"]
+    assert all(torch.equal(found.material.maps[name], material.maps[name]) for name in material.maps)
+
+
+@pytest.mark.parametrize("keep", [("height",), ("height", "normal"), ("diffuse",)])
+def test_on_a_relief(btf, keep):
+    material = distribution(6, 6, 1, ("normal", "specular_mask"), relief=True)
+    found = refit(btf, material, keep, effort=0.02)
+    for name in keep:
+        assert torch.equal(found.material.maps[name], material.maps[name])
+    assert found.report["improved"] and found.material.has_relief
+    assert torch.equal(found.material.maps["height"], material.maps["height"]) == ("height" in keep)
+    assert found.report["held_out_after"]["psnr_db"] > found.report["held_out_before"]["psnr_db"]
+
+
+def test_the_same_seed_gives_the_same_bits(btf, fitted):
+    one, other = (refit(btf, fitted, ["normal"], effort=0.01).material for _ in range(2))
+    assert all(torch.equal(one.maps[name], other.maps[name]) for name in one.maps)
+
+
+def test_double_precision_one_texel_and_nothing_held_out():
+    images = plausible_images(LIGHT, VIEW, 1, 1)
+    data = Btf.from_tensors(images, LIGHT, VIEW)
+    found = refit(data, distribution(1, 1, 2, ALL_PARTS, dtype=torch.float64), ["rotation"], effort=0.02, holdout=0)
+    assert found.material.dtype == torch.float64
+    assert found.report["held_out_before"] is None and found.report["held_out_after"] is None
+    assert found.report["kept"] == ["rotation", "tilt"]
+
+
+def test_wrong_inputs_are_refused(btf, fitted):
+    with pytest.raises(RangeError, match="be a distribution material; it is ptm"):
+        refit(btf, make("ptm", {}, 6, 6))
+    with pytest.raises(RangeError, match="Did you mean 'diffuse'"):
+        refit(btf, fitted, ["difuse"])
+    with pytest.raises(RangeError, match=r"keep must be a list of names; it is 'diffuse'"):
+        refit(btf, fitted, "diffuse")
+    with pytest.raises(RangeError, match="leave a map to fit"):
+        refit(btf, fitted, list(fitted.maps))
+    with pytest.raises(RangeError, match="effort must be positive"):
+        refit(btf, fitted, effort=math.nan)
+    with pytest.raises(ShapeError, match="be 6 x 6 as the images; it is 4 x 5"):
+        refit(btf, distribution(4, 5))
+    two = distribution(6, 6, 2)
+    two = two.with_maps(index=torch.ones(2, 6, 6))
+    with pytest.raises(RangeError, match="weights that sum to 1; 36 of 36"):
+        refit(btf, two)
+    assert refit(btf, two, ["index"], effort=0.002).material.options["lobes"] == 2

@@ -1,0 +1,13 @@
+"""Solvers, and fit(): a BTF and a model's name in, a material and a report out."""
+
+from torchmat.fitting.config import FitConfig, load_config
+from torchmat.fitting.evaluate import evaluate, predict
+from torchmat.fitting.fit import FitResult, fit
+from torchmat.fitting.recipes import FITTERS, default_options
+from torchmat.fitting.refit import Refit, refit
+from torchmat.fitting.relief.recover import recover_geometry
+
+__all__ = [
+    "FITTERS", "FitConfig", "FitResult", "Refit", "default_options", "evaluate", "fit", "load_config", "predict",
+    "recover_geometry", "refit",
+]

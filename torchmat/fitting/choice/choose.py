@@ -1,0 +1,174 @@
+"""The choice among models: the smallest material that is as true as wanted, or the best one within a budget.
+
+It climbs from cheap to dear: a constant, a texture, Lambert, Phong, residuals and polynomials, all in closed form; the
+same on a relief that is recovered once; then the distribution material, part by part. What is tried is measured, as its
+textures would bring it back, on training samples that no candidate was fitted to, and every decision is written down
+with its numbers. The material chosen is stored as small as the target allows (`shrink`).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import replace
+from typing import Any
+
+from torch import Tensor
+
+from torchmat.errors import FitError, RangeError, check_option, message
+from torchmat.fitting.choice.candidate import Option, fit_rung
+from torchmat.fitting.choice.climb import MARGIN, SPENT, Climb
+from torchmat.fitting.choice.decisions import gain_db
+from torchmat.fitting.choice.shrink import Shrunk, total_bytes
+from torchmat.fitting.on_relief import check_given_height
+from torchmat.fitting.relief.recover import Recovery, recover_relief
+from torchmat.fitting.training import Fitted, Training
+from torchmat.fitting.wanted import Target
+from torchmat.metrics import psnr
+from torchmat.models import Distribution, Material
+
+AUTO_GEOMETRIES = ("auto", "recover", "flat")
+MET, NOT_MET, WITHIN = "target met", "target not met", "best within the budget"
+_RECOVERY = 10  # times the seconds of all flat candidates: what a recovery took at least on the data measured so far
+
+
+def fit_auto(training: Training, target: Target, geometry: str | Tensor) -> Fitted:
+    """Return the smallest material that meets the target, bytes that all texels share included.
+
+    With `bytes` or `seconds` alone it is the best one within them. A target that nothing meets gives the nearest
+    material and the stop reason "target not met". Samples kept back must be better than wanted by a margin of 5 % of
+    the error, 0.22 dB. `geometry` "auto" and "recover" leave the relief to the data, "flat" forbids it, a height map is
+    taken as it is. Closed forms are fitted again to all training samples once they are chosen; the distribution
+    material stays as it was fitted without those kept back. The report's figures say under "auto" what was tried, what
+    it brought, and why it was kept or left. Deterministic for a seed unless the `seconds` run out.
+    Raises RangeError when nothing is wanted or fewer bytes than a constant takes, FitError when the seconds do not
+    suffice for one.
+    """
+    _check_target(target, training)
+    given = check_given_height(geometry, training).to(training.dtype) if isinstance(geometry, Tensor) else None
+    if given is None:
+        check_option("fit auto", "geometry", geometry, AUTO_GEOMETRIES)
+    climb = Climb(training, target)
+    if given is not None:
+        climb.relief(given)
+        _check_seconds(climb)
+        if _goes_on(climb, "distribution"):
+            climb.distribution(given)
+        return _delivered(climb, None)
+    climb.flat()
+    _check_seconds(climb)
+    recovery = _recovered(climb) if geometry != "flat" and _goes_on(climb, "relief") else None
+    if recovery is not None and _goes_on(climb, "the closed forms on a relief"):
+        climb.relief(recovery.relief.height)
+    if _goes_on(climb, "distribution"):
+        climb.distribution(recovery.relief.height if recovery is not None and _relief_helps(climb) else None)
+    return _delivered(climb, recovery)
+
+
+def _check_target(target: Target, training: Training) -> None:
+    if target == Target():
+        step = "Give error, psnr, bytes or seconds."
+        raise RangeError(message("fit auto", "the target", "say what is wanted", "it says nothing", step))
+    least = 12 / (training.btf.height * training.btf.width)
+    if target.bytes is not None and target.bytes < least:
+        step = f"Give at least {least:.3g}, which holds one colour for all texels."
+        raise RangeError(message("fit auto", "bytes", "hold a material", f"it is {target.bytes:.3g} a texel", step))
+
+
+def _check_seconds(climb: Climb) -> None:
+    """Raise FitError when the first candidate alone took longer than is allowed."""
+    seconds = climb.log.rows[0]["at_seconds"]
+    if climb.target.seconds is not None and seconds > climb.target.seconds:
+        step = f"Allow at least {seconds:.2g} seconds."
+        fact = f"a constant colour alone took {seconds:.2g} of {climb.target.seconds:g}"
+        raise FitError(message("fit auto", "seconds", "suffice for the cheapest material", fact, step))
+
+
+def _goes_on(climb: Climb, what: str) -> bool:
+    """Return whether the climb goes on with `what`; note why if it does not."""
+    if climb.watch.spent:
+        climb.log.skip(what, SPENT)
+    elif climb.met:
+        climb.log.skip(what, "what is cheaper meets the target")
+    elif what == "relief" and climb.watch.limit - climb.watch.seconds < _RECOVERY * climb.watch.seconds:
+        climb.log.skip(what, "its recovery would not be done in time")
+    else:
+        return True
+    return False
+
+
+def _recovered(climb: Climb) -> Recovery | None:
+    """Return the relief of the samples that candidates are fitted to; None if there is none, noting why."""
+    start = climb.watch.seconds
+    try:
+        recovery = recover_relief(climb.part)
+    except (FitError, RangeError) as error:
+        climb.log.skip("relief", str(error))
+        return None
+    seconds = climb.watch.seconds - start
+    if float(recovery.relief.height.abs().max()) == 0:
+        climb.log.skip("relief", f"the images agree best on a flat surface ({seconds:.1f} s)")
+        return None
+    climb.log.note("relief", f"recovered in {seconds:.1f} s, {recovery.figures['method']}", seconds)
+    return recovery
+
+
+def _relief_helps(climb: Climb) -> bool:
+    """Return whether the truest of the closed forms stands on the relief."""
+    truest = min(climb.options, key=lambda option: option.cost)
+    helps = truest.height is not None
+    if not helps:
+        climb.log.skip("distribution on relief", f"{truest.name} is truer than anything on the relief")
+    return helps
+
+
+def _delivered(climb: Climb, recovery: Recovery | None) -> Fitted:
+    """Return the material chosen, fitted to all samples if that is a closed form, and stored as was measured."""
+    best = climb.whole(climb.best)
+    if best.shrunk is None:
+        too_large = climb.bytes_of(best) > climb.most_bytes
+        in_time = too_large or not climb.watch.spent
+        best = climb.shrunk(best) if in_time else replace(best, shrunk=Shrunk(best.material, best.cost))
+    fitted, material = best.fitted, best.material
+    if best.rung.model != Distribution.name and not climb.watch.spent:
+        fitted = fit_rung(climb.knowing(climb.training, best), best.rung, best.height)
+        material = fitted.material.stored_at(material.stored)
+    relief = recovery.relief if recovery is not None and best.height is not None else None
+    reason = WITHIN if climb.limit is None else MET if climb.meets(best) else NOT_MET
+    figures = {**fitted.figures, "auto": _figures(climb, best, reason)}
+    if recovery is not None:
+        figures["geometry"] = {**recovery.figures, "chosen": "flat" if best.height is None else "recover"}
+    return replace(fitted, material=material, stop_reason=reason, figures=figures, relief=relief)
+
+
+def _figures(climb: Climb, best: Option, reason: str) -> dict[str, Any]:
+    """Return what the report says of the choice."""
+    measured = climb.examiner.measure(best.material)
+    return {
+        "target": dataclasses.asdict(climb.target), "margin": MARGIN, "outcome": reason,
+        "short_by_db": max(0.0, gain_db(best.cost, climb.limit)) if reason == NOT_MET else None,
+        "validation_samples": climb.examiner.samples, "candidates": climb.log.rows,
+        "chosen": {
+            "candidate": best.name, "model": best.rung.model, "options": best.rung.settings,
+            "fit_stopped": best.fitted.stop_reason, "relief": best.height is not None,
+            "bytes": total_bytes(best.material), "bytes_per_texel": best.material.bytes_per_texel,
+            "shared_bytes": best.material.shared_bytes,
+            **measured._asdict(), "maps": _stored_maps(best.material),
+        },
+        "shrinking": [_told(step, climb.target) for step in best.shrunk.steps],
+    }
+
+
+def _told(step: dict[str, Any], target: Target) -> dict[str, Any]:
+    """Return a step of shrinking with its cost in the unit of the target."""
+    cost = step["cost"]
+    error = {"relative_error": cost} if target.error is not None else {"psnr_db": psnr(cost)}
+    return {"map": step["map"], "stored": step["stored"], "bytes": step["bytes"], **error}
+
+
+def _stored_maps(material: Material) -> list[dict[str, Any]]:
+    """Return how each texture of the material is stored."""
+    rows = [
+        {"map": spec.name, "texture": name, "size": list(value.shape[-2:]), "channels": len(value), "storage": storage}
+        for spec, name, value, storage in material.textures()
+    ]
+    return rows + [{"map": spec.name, "numbers": value.tolist()} for spec, value in material.numbers()]

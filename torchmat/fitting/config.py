@@ -1,0 +1,129 @@
+"""A fit as a file: the TOML config and what it may hold."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from torchmat.btf.split import HOLDOUT_WAYS
+from torchmat.errors import RangeError, check_known_keys, check_option, message
+from torchmat.fitting.data_settings import DATA_KEYS, check_data_settings
+from torchmat.fitting.on_relief import GEOMETRIES
+from torchmat.fitting.recipes import AUTO, resolve_options
+from torchmat.fitting.wanted import make_target
+from torchmat.text_file import read_toml
+
+
+@dataclass(frozen=True)
+class FitConfig:
+    """Everything that decides a fit, apart from the data itself.
+
+    `options` are the model's; `geometry` is "flat", "recover", or for the command line the path of a height map; left out
+    it is "flat", and for the model "auto" it is "auto", which leaves the relief to the data;
+    `target` holds what `Target` does: the wanted error and budgets of the model "auto", and the seconds of any other;
+    `tile` is the side of the tiles of texels that are fitted one after the other and `memory_mb` what a fit may take,
+    0 is no wish for both; `data` are keywords of `load_btf`, used by the command line.
+    """
+
+    model: str = "phong_srf"
+    options: dict[str, Any] = field(default_factory=dict)
+    holdout: float = 0.2
+    holdout_by: str = "pair"
+    seed: int = 0
+    geometry: str | None = None
+    tiles: bool = True
+    target: dict[str, Any] = field(default_factory=dict)
+    tile: int = 0
+    memory_mb: float = 0.0
+    data: dict[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if self.geometry is None:
+            object.__setattr__(self, "geometry", AUTO if self.model == AUTO else "flat")
+        resolve_options(self.model, self.options)
+        make_target("config [target]", self.target)
+        for name in ("tile", "memory_mb"):
+            if not 0 <= getattr(self, name) < math.inf:
+                step = "0 leaves it open."
+                raise RangeError(message("config", name, "be at least 0", f"it is {getattr(self, name)}", step))
+        others = [name for name in ("error", "psnr", "bytes") if self.target.get(name) is not None]
+        if others and self.model != AUTO:
+            step = f'Fit "{AUTO}" to let the model be chosen, or leave {others[0]} out.'
+            raise RangeError(message("fit", others[0], f'be wanted of the model "{AUTO}"', f"it is {self.model}", step))
+        check_data_settings(self.data)
+        check_option("config", "holdout_by", self.holdout_by, HOLDOUT_WAYS)
+        if not 0 <= self.holdout < 1:
+            step = "It is the share that is held out; 0.2 is usual."
+            raise RangeError(message("config", "holdout", "lie in [0, 1)", f"it is {self.holdout}", step))
+
+    def read_as(self, keywords: Mapping[str, Any]) -> FitConfig:
+        """Return this config with keywords of `load_btf` in place of those of its `data`; those of the cache are none."""
+        chosen = {name: value for name, value in keywords.items() if name in DATA_KEYS}
+        return dataclasses.replace(self, data={**self.data, **chosen})
+
+    @property
+    def height_path(self) -> str | None:
+        """The path of the height map that `geometry` names; None where it names a way."""
+        return None if self.geometry in (*GEOMETRIES, AUTO) else self.geometry
+
+
+def _typed(where: str, table: dict[str, Any]) -> dict[str, Any]:
+    kinds = {
+        "model": str, "options": dict, "holdout": (int, float), "holdout_by": str, "seed": int, "geometry": str,
+        "tiles": bool, "target": dict, "tile": int, "memory_mb": (int, float), "data": dict,
+    }
+    for key, value in table.items():
+        if not isinstance(value, kinds[key]) or (isinstance(value, bool) and kinds[key] is not bool):
+            wanted = getattr(kinds[key], "__name__", "number")
+            raise RangeError(message(where, key, f"be a {wanted}", f"it is {value!r}"))
+    return table
+
+
+def make_config(table: dict[str, Any], where: str = "config") -> FitConfig:
+    """Return the FitConfig of a parsed table; unknown keys are errors that suggest the nearest one.
+
+    Every error begins with `where`, the file that the table comes from.
+    """
+    check_known_keys(where, table, [f.name for f in dataclasses.fields(FitConfig)])
+    given = _typed(where, table)
+    try:
+        return FitConfig(**given)
+    except RangeError as error:
+        raise RangeError(str(error) if where == "config" else f"{where}: {error}") from error
+
+
+def load_config(path: str | Path, overrides: list[str] | None = None) -> FitConfig:
+    """Read a TOML config; `overrides` are texts such as ``options.residual="half_light"`` or ``seed=3``.
+
+    A value that is not TOML counts as a plain string. Raises DataError or RangeError, naming the file or the key.
+    """
+    table = read_toml(path, "the config")
+    for text in overrides or []:
+        _override(table, text)
+    return make_config(table, str(path))
+
+
+def parse_value(text: str) -> Any:
+    """Return the TOML value that `text` stands for; what is not TOML counts as a plain string."""
+    try:
+        return tomllib.loads(f"v = {text.strip()}")["v"]
+    except (ValueError, RecursionError):
+        return text.strip()
+
+
+def _override(table: dict[str, Any], text: str) -> None:
+    name, separator, value = text.partition("=")
+    if not separator or not name.strip():
+        step = "For example --set options.residual=half_light."
+        raise RangeError(message("--set", repr(text), "be KEY=VALUE", "it has no key or no '='", step))
+    *parents, key = name.strip().split(".")
+    for parent in parents:
+        table = table.setdefault(parent, {})
+        if not isinstance(table, dict):
+            raise RangeError(message("--set", repr(text), "name a key inside a table", f"{parent} is a value"))
+    table[key] = parse_value(value)

@@ -1,0 +1,213 @@
+"""fit: a BTF and the name of a model in, a material and an honest report out."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from torchmat.btf import Btf, Split, split_samples
+from torchmat.errors import RangeError, message
+from torchmat.fitting.choice.choose import fit_auto
+from torchmat.fitting.config import FitConfig, load_config
+from torchmat.fitting.evaluate import PARTS, evaluate, evaluate_parts, shading_rate
+from torchmat.fitting.on_relief import fit_with_geometry
+from torchmat.fitting.recipes import AUTO, resolve_options
+from torchmat.fitting.scene.fit import fit_for_scene
+from torchmat.fitting.scene.report import scene_figures
+from torchmat.fitting.tiles.fit import fit_tiled
+from torchmat.fitting.tiles.work import clear_work
+from torchmat.fitting.training import Fitted, Training, make_training
+from torchmat.fitting.wanted import make_target
+from torchmat.geometry import Relief
+from torchmat.machine import peak_memory_mb, versions
+from torchmat.models import Material
+from torchmat.scene_use import SceneUse, Usable, as_use
+from torchmat.solvers.clock import Watch
+
+_CURVE_SAMPLES = 400  # held-out ones that a curve is measured on; of a few, chance decides whether they hold a highlight
+
+
+@dataclass(frozen=True)
+class FitResult:
+    """What a fit gives back.
+
+    `report` is what `report.json` holds; `coverage` [1, H, W] the share of the unknowns that each texel's samples
+    determine (None where it has no meaning); `held_out_errors` [m] the display error of each held-out sample;
+    `relief` the geometry that was recovered and used; `history` (seconds, error) as the fit went on: of an iterative
+    solver in its own terms, or with `curve` the relative error on held-out samples.
+    """
+
+    material: Material
+    stop_reason: str
+    report: dict[str, Any]
+    split: Split
+    coverage: Tensor | None = None
+    held_out_errors: Tensor | None = None
+    relief: Relief | None = None
+    history: list[tuple[float, float]] = field(default_factory=list)
+
+
+def fit(
+    btf: Btf,
+    model: str | Path | FitConfig = "phong_srf",
+    *,
+    holdout: float | None = None,
+    holdout_by: str | None = None,
+    seed: int | None = None,
+    geometry: str | Tensor | None = None,
+    tiles: bool | None = None,
+    error: float | None = None,
+    psnr: float | None = None,
+    bytes: float | None = None,
+    seconds: float | None = None,
+    scene: SceneUse | Usable | Sequence[SceneUse | Usable] | None = None,
+    tile: int | None = None,
+    memory_mb: float | None = None,
+    work: str | Path | None = None,
+    curve: bool = False,
+    dtype: torch.dtype = torch.float32,
+    measure: bool = True,
+    progress: bool | None = None,
+    **options: Any,
+) -> FitResult:
+    """Fit a material to `btf` and measure it on samples that it never saw.
+
+    `model` is a name, a FitConfig, or the path of a TOML config. `holdout` is the share of samples held out (0.2),
+    `holdout_by` "pair", "light", "view" or "arc" (`split_samples`); both, `seed` (0), `geometry`, `tiles` and the model's
+    `options` (named as in the README) override the config's. `geometry` "flat" (the default) takes texels for what they seem; "recover" finds
+    height and normals from the training samples and puts the model on that relief, with parallax, shadow and ambient
+    light, if that makes it better; a height map [1, H, W] in texture widths over the plane of the images is taken as
+    it is. `tiles` False says that the surface does not repeat at its borders (True). `dtype` float64 runs the same code
+    in double precision. `measure` False leaves the errors out of the report, which takes most of the time of a
+    closed-form fit. Deterministic for a seed.
+
+    The model "auto" is the choice among all: the smallest material whose relative `error` or `psnr` (dB) on held-out
+    samples is as wanted, or the best within so many `bytes` a texel and `seconds`; see `fit.auto`. Of any other model
+    `seconds` stops an iterative solver, with the best so far. `scene`, a Scene or a list of them, fits only the texels,
+    lights and views that it uses, weighted as it uses them; the report then says what that saves and costs. `tile`
+    texels on a side are fitted at a time, or as many as `memory_mb` allows; finished tiles are kept in the folder `work`,
+    where a run that was killed goes on. `curve` records the held-out error against seconds as `history`.
+
+    Raises RangeError for unknown models or options, FitError when the data cannot determine the model.
+    """
+    given_height = None if geometry is None or isinstance(geometry, str) else _as_height(geometry)
+    way = {"geometry": geometry} if isinstance(geometry, str) else {}
+    given = {"holdout": holdout, "holdout_by": holdout_by, "seed": seed, "tiles": tiles, "tile": tile, "memory_mb": memory_mb}
+    wanted = {"error": error, "psnr": psnr, "bytes": bytes, "seconds": seconds}
+    config = _resolve(model, given | way, wanted, options)
+    if dtype not in (torch.float32, torch.float64):
+        raise RangeError(message("fit", "dtype", "be torch.float32 or torch.float64", f"it is {dtype}"))
+    chosen = resolve_options(config.model, config.options)
+    split = split_samples(btf, config.holdout, config.holdout_by, config.seed)
+    use = None if scene is None else as_use(scene)  # found before the clock starts, as images are decoded before
+    watch = Watch(config.target.get("seconds", math.inf), _held_out_error(btf, split) if curve else None)
+    training = make_training(btf, split.train, config.seed, config.tiles, dtype, progress, watch)
+    with torch.no_grad():
+        fitted = _fitted(training, config, chosen, config.geometry if given_height is None else given_height, use, work)
+        watch.note(lambda: fitted.material)
+    seconds = watch.seconds
+    errors, held_out = evaluate_parts(btf, fitted.material, split, progress) if measure else (dict.fromkeys(PARTS), None)
+    ways = {"options": _options_used(chosen, fitted), "geometry": config.geometry if given_height is None else "given"}
+    report = {**_described(btf, config, fitted), **ways, "fit_seconds": seconds, **errors, "curve": watch.history}
+    if use is not None:
+        figures = scene_figures(btf, fitted.material, split, use, config.tiles, measure, progress)
+        report["scene"] = {**fitted.figures["scene"], **figures}
+    if work is not None:
+        clear_work(work)
+    return FitResult(
+        fitted.material, fitted.stop_reason, report, split, fitted.coverage, held_out.per_sample if held_out else None,
+        fitted.relief, watch.history or fitted.history,
+    )
+
+
+def _described(btf: Btf, config: FitConfig, fitted: Fitted) -> dict[str, Any]:
+    """Return what a report says of the data, the config and the material."""
+    material = fitted.material
+    return {
+        "model": material.name, "samples": len(btf), "texels": btf.height * btf.width, "seed": config.seed,
+        "holdout": config.holdout, "holdout_by": config.holdout_by, "tiles": config.tiles, "target": config.target,
+        "data": config.data,
+        "bytes_per_texel": material.bytes_per_texel, "shared_bytes": material.shared_bytes,
+        "load_seconds": btf.source.load_seconds, "shade_mtexels_per_s": shading_rate(material),
+        "peak_rss_mb": peak_memory_mb(), "stop_reason": fitted.stop_reason, "coverage": _coverage(fitted.coverage),
+        **_source(btf), "figures": fitted.figures, "versions": versions(),
+    }
+
+
+def _fitted(
+    training: Training, config: FitConfig, options: dict[str, Any], geometry: str | Tensor, scene: SceneUse | None,
+    work: str | Path | None,
+) -> Fitted:
+    """Return what the config asks for: a model, whole or tile by tile, or the choice among models; for a scene or all."""
+    if scene is not None:
+        return fit_for_scene(training, config, options, geometry, scene, work)
+    by_tiles = config.tile or config.memory_mb or work is not None
+    if config.model == AUTO:
+        if by_tiles:
+            step = "Let it choose on a crop of the images, then fit the model that it picked by tiles."
+            fact = "tile, memory_mb or work is given"
+            raise RangeError(message("fit auto", "the choice", "be made on all texels at once", fact, step))
+        return fit_auto(training, make_target("fit", config.target), geometry)
+    if by_tiles:
+        return fit_tiled(training, config.model, options, geometry, config.tile, config.memory_mb, work)
+    return fit_with_geometry(training, config.model, options, geometry)
+
+
+def _held_out_error(btf: Btf, split: Split) -> Callable[[Material], float]:
+    """Return the function that measures a material on some of the held-out samples."""
+    rows = split.held_out if len(split.held_out) else split.train
+    return lambda material: evaluate(material, btf, rows, _CURVE_SAMPLES, perceptual=False).report["relative_error"]
+
+
+def _as_height(geometry: Any) -> Tensor:
+    """Return a height map given as a tensor or array; raises RangeError for what is none."""
+    try:
+        height = torch.as_tensor(geometry)
+        if height.is_complex():
+            raise TypeError("complex numbers")
+        return height if height.is_floating_point() else height.double()
+    except (TypeError, ValueError, RuntimeError, NotImplementedError) as error:
+        step = "Give 'flat', 'recover', or a height map [1, H, W] in texture widths."
+        fact = f"it is {type(geometry).__name__}: {error}"
+        raise RangeError(message("fit", "geometry", "be a height map", fact, step)) from error
+
+
+def _resolve(
+    model: str | Path | FitConfig, given: dict[str, Any], wanted: dict[str, Any], options: dict[str, Any]
+) -> FitConfig:
+    if isinstance(model, Path) or (isinstance(model, str) and model.endswith(".toml")):
+        model = load_config(model)
+    base = model if isinstance(model, FitConfig) else FitConfig(model=model)
+    given, wanted = ({name: value for name, value in table.items() if value is not None} for table in (given, wanted))
+    return dataclasses.replace(base, **given, target={**base.target, **wanted}, options={**base.options, **options})
+
+
+def _options_used(chosen: dict[str, Any], fitted: Fitted) -> dict[str, Any]:
+    choice = fitted.figures.get("auto")
+    return choice["chosen"]["options"] if choice else chosen
+
+
+def _coverage(coverage: Tensor | None) -> dict[str, float] | None:
+    if coverage is None:
+        return None
+    return {
+        "least": float(coverage.min()), "mean": float(coverage.mean()),
+        "texels_not_fully_determined": int((coverage < 1).sum()),
+    }
+
+
+def _source(btf: Btf) -> dict[str, Any]:
+    return {
+        "source": {
+            "kind": btf.source.kind, "path": btf.source.path, "height": btf.height, "width": btf.width,
+            "lights": len(btf.lights), "views": len(btf.views), "encoding": btf.encoding, "exposure": btf.exposure,
+            "clipped_share": btf.clipped_share, "invalid_share": btf.invalid_share,
+        }
+    }

@@ -1,0 +1,1 @@
+"""One recipe a model: how its maps are found from samples."""

@@ -1,0 +1,174 @@
+"""What the fit of the distribution material turns: unbounded parameters, their starts, and the maps that they stand for."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from torchmat import colour, safe
+from torchmat.btf import Btf
+from torchmat.fitting.relief.surface import Surface
+from torchmat.fitting.training import Training
+from torchmat.frames import half_vector, tangent_frame
+from torchmat.geometry import normals_from_slopes
+from torchmat.models.distribution import default_tilt
+from torchmat.repeatable import one_thread
+
+BLOCK_VALUES = 2_000_000
+_LEVEL = 1e-3  # of the tilt at 0 and 90 degrees, which a logit does not reach
+OUTSTANDING = 10  # times the usual texel: brighter ones count as that bright where one number stands for all
+
+
+@dataclass(frozen=True)
+class Parts:
+    """What the material is made of: without lobes nothing that belongs to them."""
+
+    lobes: int
+    fresnel: bool
+    rotation: bool
+    tilt: bool = False
+    normal: bool = True
+    specular_mask: bool = True
+
+    @property
+    def names(self) -> list[str]:
+        """The optional parts of the model, the normal among them."""
+        of_lobes = ("specular_mask", "fresnel", "rotation", "tilt")
+        there = [name for name in of_lobes if self.lobes and getattr(self, name)]
+        return ["normal", *there] if self.normal else there
+
+
+def sample_runs(btf: Btf) -> list[slice]:
+    """Return runs of samples, each of few enough values to be worked on at once."""
+    step = max(1, BLOCK_VALUES // (3 * btf.height * btf.width))
+    return [slice(first, min(first + step, len(btf))) for first in range(0, len(btf), step)]
+
+
+def raw_maps(starts: dict[str, Tensor], parts: Parts, size: int, training: Training) -> dict[str, Tensor]:
+    """Return the unbounded parameters that stand for the maps, at their starting values."""
+    dtype, mean = training.dtype, starts["mean"]
+    generator = torch.Generator().manual_seed(training.seed)
+    axis = (torch.arange(size, dtype=dtype) + 0.5) / size * 2 - 1
+    distance = axis[:, None] ** 2 + axis[None, :] ** 2
+    noise = torch.randn(3 * parts.lobes, 1, 1, generator=generator, dtype=torch.float64).to(dtype)
+    with one_thread():
+        brightness = float(mean.clamp(max=OUTSTANDING * float(mean.median())).mean())
+    raw = {
+        "diffuse": mean.log(),
+        "ambient": (0.05 * mean).log(),
+        "slopes": starts["slopes"].clone(),
+        "specular": (math.log(0.1 * brightness) + 0.01 * noise - 4 * distance).contiguous(),
+        "specular_mask": torch.zeros_like(mean[:1]),
+        "fresnel": torch.full_like(mean[:1], -2.0),
+        "rotation": starts["rotation"].clone(),
+        "tilt": torch.logit(default_tilt(dtype).clamp(_LEVEL, 1 - _LEVEL)),
+    }
+    there = {"diffuse", "ambient", *parts.names} | ({"specular"} if parts.lobes else set())
+    raw = {name: value for name, value in raw.items() if name in there or (name == "slopes" and parts.normal)}
+    if parts.lobes > 1:
+        groups = training.shared.get("groups")
+        if groups is None:
+            groups = group_texels(starts["features"], parts.lobes, training.seed)
+        raw["index"] = _start_index(starts["features"], parts.lobes, groups)
+    return raw
+
+
+def to_one(maps: dict[str, Tensor]) -> dict[str, Tensor]:
+    """Return mask and specular maps of the same products, with a mask whose largest value is 1; nothing without a mask."""
+    if "specular_mask" not in maps:
+        return {}
+    mask = maps["specular_mask"]
+    most = mask.max().clamp(min=torch.finfo(mask.dtype).tiny)
+    return {"specular_mask": mask / most, "specular": maps["specular"] * most}
+
+
+def group_texels(features: Tensor, lobes: int, seed: int) -> Tensor:
+    """Return what groups the texels by their features [C, H, W]: rows mean, spread, and a centre a group, [2 + k, C].
+
+    Centres are those of k-means over the features less their mean, by their spread; at most `lobes`, float64.
+    """
+    from sklearn.cluster import KMeans
+    from threadpoolctl import threadpool_limits  # comes with scikit-learn
+
+    rows = features.flatten(1).double()
+    with one_thread():
+        mean, spread = rows.mean(dim=1), rows.std(dim=1, correction=0).clamp(min=1e-3)
+    rows = ((rows.T - mean) / spread).numpy()
+    some = rows[:: max(1, len(rows) // 20000)]
+    clusters = min(lobes, len(np.unique(some, axis=0)))
+    # Threads of k-means add their sums in the order in which they finish.
+    with threadpool_limits(1, user_api="openmp"):
+        found = KMeans(clusters, n_init=4, random_state=seed).fit(some)
+    return torch.stack((mean, spread, *torch.from_numpy(found.cluster_centers_)))
+
+
+def _start_index(features: Tensor, lobes: int, groups: Tensor) -> Tensor:
+    """Return logits [lobes, H, W] that give each texel to its nearest group."""
+    mean, spread, centres = groups[0, :, None, None], groups[1, :, None, None], groups[2:, :, None, None]
+    placed = (features.double() - mean) / spread
+    nearest = torch.stack([(placed - centre).square().sum(dim=0) for centre in centres]).argmin(dim=0)
+    chosen = torch.nn.functional.one_hot(nearest, lobes).movedim(-1, 0).to(features.dtype)
+    return (2 * chosen - 1).contiguous()
+
+
+def _weights(logits: Tensor) -> Tensor:
+    weight = (logits - logits.detach().amax(dim=0)).exp()
+    return weight / weight.sum(dim=0)
+
+
+def _share(logit: Tensor) -> Tensor:
+    return 1 / (1 + (-logit).exp())
+
+
+# How a parameter becomes a map; the others are logarithms. torch's softmax and sigmoid round otherwise in what remains of a
+# thread's share, as its power does; exp does not.
+_WAYS = {
+    "index": _weights,
+    "fresnel": _share,
+    "tilt": _share,
+    "rotation": lambda angle: torch.cat((torch.cos(angle), torch.sin(angle))),
+}
+
+
+def maps_of(raw: dict[str, Tensor]) -> dict[str, Tensor]:
+    """Return the maps on the surface that parameters stand for: `slopes` are its whole `normal`, height's and all."""
+    found = {name: _WAYS.get(name, torch.exp)(value) for name, value in raw.items() if name != "slopes"}
+    return found | ({"normal": normals_from_slopes(raw["slopes"])} if "slopes" in raw else {})
+
+
+def anisotropy(surface: Surface, mean: Tensor, slopes: Tensor) -> dict[str, Tensor]:
+    """Return the direction `rotation` [1, H, W] in which each texel's highlight is stretched, and `features` [C, H, W].
+
+    Second moments of what exceeds the mean, over the half vector's place on the parabolic map; features are the
+    moments' size and shape, free of the direction, and the colour.
+    """
+    btf, dtype = surface.training.btf, surface.training.dtype
+    normal = normals_from_slopes(slopes)
+    frame = torch.stack((*tangent_frame(normal), normal), dim=1).flatten(1)  # [xyz, rows of the frame x texels]
+    sums = torch.zeros(5, btf.height * btf.width, dtype=dtype)
+    level = colour.luminance(mean).flatten()
+    for run in sample_runs(btf):
+        values, valid = surface.values(run)
+        half = half_vector(btf.light[run].to(dtype), btf.view[run].to(dtype), dim=-1)
+        along = (half @ frame).unflatten(1, (3, -1)).unbind(1)
+        u, v = (safe.divide(axis, 1 + along[2].clamp(min=0)) for axis in along[:2])
+        excess = (colour.luminance(values, dim=1).flatten(1) - level).clamp(min=0) * valid[:, 0].flatten(1)
+        sums += torch.stack([(excess * term).sum(dim=0) for term in (torch.ones_like(u), u, v, u * u - v * v, 2 * u * v)])
+    with one_thread():
+        return _moments(sums, level, mean, len(btf))
+
+
+def _moments(sums: Tensor, level: Tensor, mean: Tensor, samples: int) -> dict[str, Tensor]:
+    size = mean.shape[-2:]
+    total = sums[0].clamp(min=1e-12)
+    stretch = torch.stack((sums[3] - (sums[1] ** 2 - sums[2] ** 2) / total, sums[4] - 2 * sums[1] * sums[2] / total)) / total
+    angle = torch.atan2(stretch[1], stretch[0]) / 2
+    strength = stretch.square().sum(dim=0).sqrt()
+    bright = torch.log1p(total / samples / level.clamp(min=1e-12))
+    share = mean.flatten(1) / mean.flatten(1).sum(dim=0).clamp(min=1e-12)
+    features = torch.stack((*share, bright, strength * 10))
+    return {"rotation": angle.reshape(1, *size), "features": features.reshape(-1, *size)}

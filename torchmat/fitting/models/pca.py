@@ -1,0 +1,312 @@
+"""Fits of the factorisations: randomised truncated SVD over streamed images, and k-means in subspace distance."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+
+import torch
+from torch import Tensor
+
+from torchmat import safe
+from torchmat.errors import FitError, RangeError, message
+from torchmat.fitting.training import Fitted, Training
+from torchmat.models import LocalPca, Pca
+from torchmat.models.angular import projected
+from torchmat.repeatable import add_product, one_thread, orthonormal, product
+
+_OVERSAMPLING = 10  # extra directions of the random projection (Halko, Martinsson, Tropp 2011)
+_POWER_STEPS = 2
+_KEEP_VALUES = 64_000_000  # training images up to this many values (256 MB) are decoded once and kept
+_LLOYD_STEPS = 30
+_RESTARTS = 2
+_LEAST_COUNT = 1e-6  # of the mean
+
+
+class _Images:
+    """The training images as a matrix, in runs of rows; samples of weight 0 hold their texel's mean.
+
+    Clipped samples stay as they are: a factorisation has no weights, and the mean would put out their highlights.
+    """
+
+    def __init__(self, training: Training, keep: bool = True) -> None:
+        self.training = training
+        self.rows = training.used.nonzero()[:, 0]
+        counts = None if training.importance is None else training.importance[self.rows]
+        # What counts nothing is still divided by: it stays below what a float of the others holds.
+        self._root = None if counts is None else counts.clamp(min=_LEAST_COUNT).sqrt().to(training.dtype)
+        btf = training.btf
+        self.texels = btf.height * btf.width
+        self._mean = self._texel_mean() if btf.invalid_share > 0 or btf.clipped_share > 0 else None
+        small = keep and len(self.rows) * 3 * self.texels <= _KEEP_VALUES
+        self._kept = [(s, images.clone()) for s, images in self._read()] if small else None
+
+    def _texel_mean(self) -> Tensor:
+        total = torch.zeros(3, self.training.btf.height, self.training.btf.width, dtype=torch.float64)
+        weight = torch.zeros(1, *total.shape[1:], dtype=torch.float64)
+        for block in self.training.btf.blocks(self.training.used, self.training.dtype, self.training.progress):
+            used = self.training.used[block.samples.start : block.samples.stop, None, None, None]
+            share = used * (torch.ones(1, 1, 1, 1) if block.weight is None else block.weight)
+            total += (block.images * share).sum(dim=0)
+            weight += share.sum(dim=0).expand_as(weight)
+        return safe.divide(total, weight.expand_as(total)).to(self.training.dtype)
+
+    def _read(self):
+        start = 0
+        for block in self.training.btf.blocks(self.training.used, self.training.dtype, self.training.progress):
+            used = self.training.used[block.samples.start : block.samples.stop]
+            images = block.images
+            if block.weight is not None:
+                images = torch.where(block.weight > 0, images, self._mean)
+            images = images[used]
+            if self._root is not None:
+                images = images * self._root[start : start + len(images), None, None, None]
+            yield slice(start, start + len(images)), images
+            start += len(images)
+
+    def plain(self, table: Tensor) -> Tensor:
+        """Return a table [sample, ...] of the matrix as that of the images, whose rows were not weighed."""
+        return table if self._root is None else table / self._root.reshape(-1, *[1] * (table.ndim - 1))
+
+    def weighed(self, table: Tensor) -> Tensor:
+        """Return a table [sample, ...] of the images as that of the matrix, the reverse of `plain`."""
+        return table if self._root is None else table * self._root.reshape(-1, *[1] * (table.ndim - 1))
+
+    def runs(self):
+        """Yield (rows of the matrix, images [k, 3, texels]); with `importance` a row is weighed by its root."""
+        for rows, images in self._kept if self._kept is not None else self._read():
+            yield rows, images.flatten(2)
+
+
+def _range_finder(
+    times: Callable[[Tensor], Tensor], transposed: Callable[[Tensor], Tensor], columns: int, rank: int,
+    generator: torch.Generator, dtype: torch.dtype,
+) -> tuple[Tensor, Tensor]:
+    """Return an orthonormal range [rows, r] of a matrix given by its products, and range^T matrix, [r, columns]."""
+    probe = torch.randn(columns, rank, generator=generator, dtype=dtype)
+    found = orthonormal(times(probe))
+    for _ in range(_POWER_STEPS - 1):
+        found = orthonormal(times(orthonormal(transposed(found))))
+    return found, transposed(found).T
+
+
+def fit_pca(training: Training, *, components: int = 16, storage: str = "half") -> Fitted:
+    """Truncated SVD of the matrix whose rows are images; not centred, as BTF compression usually is."""
+    if "weight" in training.shared:
+        return _pca_of(training, components, storage)
+    images = _Images(training)
+    count = len(images.rows)
+    _require("components", components, min(count, 3 * images.texels))
+    width = 3 * images.texels
+
+    def times(right: Tensor) -> Tensor:
+        return torch.cat([product(part.flatten(1), right) for _, part in images.runs()])
+
+    def transposed(left: Tensor) -> Tensor:
+        total = torch.zeros(width, left.shape[1], dtype=left.dtype)
+        for rows, part in images.runs():
+            add_product(total, part.flatten(1), left[rows])
+        return total
+
+    rank = min(components + _OVERSAMPLING, count, width)
+    generator = torch.Generator().manual_seed(training.seed)
+    found, rest = _range_finder(times, transposed, width, rank, generator, training.dtype)
+    leading = _leading(rest, components)
+    # Images are projected, not taken from the SVD: a dark texel beside a highlight of 1e6 times keeps its digits.
+    maps = {
+        "component": product(leading.T, rest).reshape(-1, training.btf.height, training.btf.width),
+        "weight": images.plain(product(found, leading)).T[:, None].contiguous(),
+        "directions": _directions(training, images.rows),
+    }
+    material = _balanced(Pca, maps, ("component", "weight"), components=components, storage=storage)
+    return Fitted(material, shared={name: maps[name] for name in ("weight", "directions")})
+
+
+def _pca_of(training: Training, components: int, storage: str) -> Fitted:
+    """Return the PCA whose weights are known already: each texel is projected onto them, in one pass."""
+    maps = {name: training.shared[name] for name in ("weight", "directions")}
+    images = _Images(training, keep=False)
+    weight = images.weighed(maps["weight"][:, 0].T).T.double()
+    with one_thread():
+        ways = torch.linalg.pinv(weight).to(training.dtype)  # [sample, components]
+    total = torch.zeros(components, 3 * images.texels, dtype=training.dtype)
+    for rows, part in images.runs():
+        add_product(total, ways[rows], part.flatten(1))
+    maps["component"] = total.reshape(-1, training.btf.height, training.btf.width)
+    return Fitted(Pca(maps, components=components, storage=storage))
+
+
+def _leading(matrix: Tensor, count: int) -> Tensor:
+    """Return the leading left singular vectors [r, count] of a wide matrix [r, n], by QR of its transpose."""
+    with one_thread():
+        triangle = torch.linalg.qr(matrix.T, mode="r").R
+        return torch.linalg.svd(triangle.T.double()).U[:, :count].to(matrix.dtype)
+
+
+def _thin_svd(matrix: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Return the SVD of a wide matrix [r, n], n >> r, by QR of its transpose."""
+    with one_thread():
+        q, r = torch.linalg.qr(matrix.T)
+        u, singular, v = torch.linalg.svd(r.T.double())
+        return u.to(matrix.dtype), singular.to(matrix.dtype), (v.to(matrix.dtype) @ q.T)
+
+
+def _balanced(kind, maps: dict[str, Tensor], pair: tuple[str, str], **options) -> Pca:
+    """Share the scale of each component between its texture and its table, so that a half holds both."""
+    texture, table = pair
+    count = options["components"]
+    size = maps[table].abs().amax(dim=(1, 2)).clamp(min=1e-30).sqrt()
+    maps[table] = maps[table] / size[:, None, None]
+    maps[texture] = (maps[texture].unflatten(0, (count, -1)) * size[:, None, None, None]).flatten(0, 1)
+    return kind(maps, **options)
+
+
+def _directions(training: Training, rows: Tensor) -> Tensor:
+    found = projected(training.btf.light[rows], training.btf.view[rows])
+    return found.T[:, None].to(training.dtype).contiguous()
+
+
+def _require(name: str, value: int, most: int) -> None:
+    if value < 1:
+        raise RangeError(message("fit", name, "be at least 1", f"it is {value}"))
+    if value > most:
+        step = f"Use at most {most}."
+        raise FitError(message("fit", name, "not exceed what the data determines", f"it is {value} of {most}", step))
+
+
+def fit_local_pca(
+    training: Training, *, clusters: int = 8, components: int = 8, storage: str = "half"
+) -> Fitted:
+    """k-means of texels in the distance to each cluster's own subspace, then PCA per cluster (Müller et al. 2003).
+
+    The texels' reflectance [texel, 3 sample] is first brought to its leading dimensions by a randomised SVD; all
+    clustering happens there.
+    """
+    if "reflectance" in training.shared:
+        return _local_pca_of(training, clusters, components, storage)
+    images = _Images(training)
+    count = len(images.rows)
+    _require("clusters", clusters, images.texels)
+    _require("components", components, min(images.texels, 3 * count))
+
+    def times(right: Tensor) -> Tensor:  # right [3 sample, r] -> [texel, r]
+        total = torch.zeros(images.texels, right.shape[1], dtype=right.dtype)
+        right = right.unflatten(0, (count, 3))
+        for rows, part in images.runs():
+            add_product(total, part.flatten(0, 1), right[rows].flatten(0, 1))
+        return total
+
+    def transposed(left: Tensor) -> Tensor:  # left [texel, r] -> [3 sample, r]
+        return torch.cat([product(part.flatten(0, 1), left) for _, part in images.runs()])
+
+    generator = torch.Generator().manual_seed(training.seed)
+    rank = min(max(4 * (components + 1), 96), images.texels, 3 * count)
+    found, rest = _range_finder(times, transposed, 3 * count, rank, generator, training.dtype)
+    left, singular, right = _thin_svd(rest)
+    points = (product(found, left) * singular).double()
+    label, means, bases = _cluster(points, clusters, components, generator)
+    weight = torch.zeros(components, images.texels, dtype=torch.float64)
+    for number in range(clusters):
+        inside = label == number
+        weight[:, inside] = bases[number] @ (points[inside] - means[number]).T
+    tables = torch.cat((means[:, None], bases), dim=1).to(training.dtype)
+    tables = product(tables, right)  # [clusters, 1 + components, 3 sample]
+    tables = images.plain(tables.unflatten(2, (count, 3)).permute(2, 0, 1, 3)).permute(2, 3, 1, 0).flatten(0, 1)
+    size = (training.btf.height, training.btf.width)
+    maps = {
+        "cluster": label.reshape(1, *size).to(training.dtype), "weight": weight.reshape(-1, *size).to(training.dtype),
+        "reflectance": tables.contiguous(), "directions": _directions(training, images.rows),
+    }
+    material = LocalPca(maps, clusters=clusters, components=components, storage=storage)
+    return Fitted(material, shared={name: maps[name] for name in ("reflectance", "directions")})
+
+
+def _local_pca_of(training: Training, clusters: int, components: int, storage: str) -> Fitted:
+    """Return the local PCA whose tables are known already: each texel takes the nearest cluster's, in one pass."""
+    maps = {name: training.shared[name] for name in ("reflectance", "directions")}
+    images = _Images(training, keep=False)
+    table = images.weighed(maps["reflectance"].permute(2, 0, 1)).unflatten(1, (1 + components, 3))
+    table = table.permute(3, 1, 0, 2)  # cluster, row, sample, colour
+    rows_of_tables = table.flatten(0, 1)
+    total = torch.zeros(len(rows_of_tables), images.texels, dtype=training.dtype)
+    for rows, part in images.runs():
+        add_product(total, rows_of_tables[:, rows].flatten(1).T, part.flatten(0, 1))
+    along = total.double().unflatten(0, (clusters, 1 + components))
+    flat = table.flatten(2).double()
+    mean, basis = flat[:, :1], flat[:, 1:]
+    # The distance to each cluster's subspace, without what is the same for all clusters.
+    weight = along[:, 1:] - (basis @ mean.transpose(1, 2))
+    distance = mean.square().sum(dim=2) - 2 * along[:, 0] - weight.square().sum(dim=1)
+    label = distance.argmin(dim=0)
+    size = (training.btf.height, training.btf.width)
+    chosen = weight.gather(0, label.expand(1, components, -1))[0]
+    maps |= {
+        "cluster": label.reshape(1, *size).to(training.dtype), "weight": chosen.reshape(-1, *size).to(training.dtype),
+    }
+    return Fitted(LocalPca(maps, clusters=clusters, components=components, storage=storage))
+
+
+def _subspace(points: Tensor, components: int) -> tuple[Tensor, Tensor]:
+    """Return mean [d] and leading directions [components, d] of points [n, d]; missing directions are zero rows."""
+    mean = points.mean(dim=0)
+    centred = points - mean
+    gram = product(centred.T, centred)
+    with one_thread():
+        values, vectors = torch.linalg.eigh(gram)
+    basis = vectors.T.flip(0)[:components]
+    known = values.flip(0)[:components] > values.max().clamp(min=1e-300) * 1e-12
+    basis = basis * known[:, None]
+    if len(basis) < components:
+        basis = torch.cat((basis, basis.new_zeros(components - len(basis), basis.shape[1])))
+    return mean, basis
+
+
+def _distance(points: Tensor, mean: Tensor, basis: Tensor) -> Tensor:
+    centred = points - mean
+    return centred.square().sum(dim=1) - (centred @ basis.T).square().sum(dim=1)
+
+
+def _cluster(
+    points: Tensor, clusters: int, components: int, generator: torch.Generator
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Return labels [texel], means [clusters, d] and bases [clusters, components, d] of the best of a few runs.
+
+    The first labels come from k-means of the points themselves; then texels move to the cluster whose subspace
+    reconstructs them best, until none moves.
+    """
+    best = None
+    for _ in range(_RESTARTS):
+        seed = int(torch.randint(2**31 - 1, (1,), generator=generator))
+        label = _first_labels(points[:, : min(16, points.shape[1])], clusters, seed)
+        label, error, means, bases = _lloyd(points, label, clusters, components)
+        if best is None or error < best[0]:
+            best = (error, label, means, bases)
+    return best[1:]
+
+
+def _first_labels(points: Tensor, clusters: int, seed: int) -> Tensor:
+    from sklearn.cluster import KMeans
+    from sklearn.exceptions import ConvergenceWarning
+    from threadpoolctl import threadpool_limits  # comes with scikit-learn
+
+    # Threads of k-means add their sums in the order in which they finish.
+    with threadpool_limits(1, user_api="openmp"), warnings.catch_warnings():
+        # Fewer different texels than clusters: some clusters stay empty, and `_lloyd` gives them all texels.
+        warnings.simplefilter("ignore", ConvergenceWarning)
+        return torch.from_numpy(KMeans(clusters, n_init=1, random_state=seed).fit(points.numpy()).labels_).long()
+
+
+def _lloyd(points: Tensor, label: Tensor, clusters: int, components: int) -> tuple[Tensor, float, Tensor, Tensor]:
+    for _ in range(_LLOYD_STEPS):
+        spaces = []
+        for number in range(clusters):
+            inside = points[label == number]
+            spaces.append(_subspace(inside if len(inside) else points, components))
+        means = torch.stack([mean for mean, _ in spaces])
+        bases = torch.stack([basis for _, basis in spaces])
+        distance = torch.stack([_distance(points, mean, basis) for mean, basis in spaces])
+        nearest = distance.argmin(dim=0)
+        if bool((nearest == label).all()):
+            break
+        label = nearest
+    return label, float(distance.gather(0, label[None]).sum()), means, bases

@@ -1,0 +1,1 @@
+"""Fits of sphere images, to a BTF and to a measured BRDF."""

@@ -1,0 +1,202 @@
+"""De-parallaxed samples: every image resampled onto the surface once, so that per-texel models are closed-form again.
+
+What a view hides has no weight there. On the surface a sample is ``lit * direct + ambient``: `lit` is the soft shadow of
+its light, `ambient` what a texel receives by way of others.
+"""
+
+from __future__ import annotations
+
+import math
+import tempfile
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from torchmat.btf import Btf
+from torchmat.btf.decode import Decoder
+from torchmat.btf.store import CLIPPED, INVALID, VALID, summarise
+from torchmat.fitting.relief.window import Window, surroundings
+from torchmat.fitting.training import Training
+from torchmat.geometry import slopes_from_height
+from torchmat.geometry.relief import look_up, ray_slope, soft_shadow, texel_centres, visible
+from torchmat.progress import progress
+from torchmat.repeatable import one_thread
+
+_IN_MEMORY = 1_000_000_000  # bytes of resampled images; more go to a temporary file, of which the system maps what is used
+_BLOCK = 4_000_000  # values resampled at a time
+_RAYS = 500_000  # walked at a time
+_LIT = 0.5  # samples that get less of the light say more of the ambient than of the texel
+_DARK = 0.2  # and those below say nothing else
+
+
+@dataclass(frozen=True)
+class Surface:
+    """Samples on the surface: `training` over a Btf of them, whose pixels may be rewritten, and `lit` [light, 1, H, W].
+
+    `source` are the samples of the same texels as the images show them; `slopes` [2, H, W] those of the height.
+    `window` is the part of the whole that these texels are, None for all.
+    """
+
+    source: Training
+    training: Training
+    pixels: np.ndarray
+    flags: np.ndarray
+    lit: Tensor
+    slopes: Tensor
+    window: Window | None = None
+
+    def values(self, samples: slice | Tensor) -> tuple[Tensor, Tensor]:
+        """Return values [k, 3, H, W] of some samples and what they count, [k, 1, H, W] in [0, 1]."""
+        index = samples if isinstance(samples, slice) else samples.numpy()
+        flags = torch.from_numpy(np.ascontiguousarray(self.flags[index]))[:, None]
+        weight = (flags == VALID).to(self.training.dtype)
+        clipped = self.training.btf.clipped_weight * (flags == CLIPPED)
+        return torch.from_numpy(np.ascontiguousarray(self.pixels[index])), weight + clipped
+
+    def shadow(self, samples: slice | range) -> Tensor:
+        """Return how much light reaches each texel in some samples, [k, 1, H, W]."""
+        return self.lit[self.training.btf.light_index[samples.start : samples.stop]]
+
+
+def _space(shape: tuple[int, ...], dtype: type) -> np.ndarray:
+    if np.prod(shape) * np.dtype(dtype).itemsize <= _IN_MEMORY:
+        return np.empty(shape, dtype)
+    with tempfile.TemporaryFile(prefix="torchmat-") as file:  # the map keeps it alive
+        return np.memmap(file, dtype, "w+", shape=shape)
+
+
+class Sight(NamedTuple):
+    """What views and lights see of a height: `seen` bool [view, 1, H, W], `lit` [light, 1, H, W] in [0, 1]."""
+
+    seen: Tensor
+    lit: Tensor
+
+
+def look_along(training: Training, height: Tensor) -> Sight:
+    """Return what each view and each light sees of `height` [1, H, W], all texels of it."""
+    btf, dtype = training.btf, training.dtype
+    height = height.to(dtype)
+    seen = torch.empty(len(btf.views), *height.shape, dtype=torch.bool)
+    lit = torch.empty(len(btf.lights), *height.shape, dtype=dtype)
+    some = max(1, _RAYS // height.numel())
+    for found, view in zip(seen.split(some), btf.views[:, :, None, None].to(dtype).split(some), strict=True):
+        found.copy_(visible(height, view, tiles=training.tiles))
+    for found, light in zip(lit.split(some), btf.lights[:, :, None, None].to(dtype).split(some), strict=True):
+        found.copy_(soft_shadow(height, light, tiles=training.tiles))
+    return Sight(seen, lit)
+
+
+def bring_onto(
+    training: Training, height: Tensor, into: Surface | None = None, window: Window | None = None,
+    sight: Sight | None = None,
+) -> Surface:
+    """Resample the training samples onto the surface of `height` [1, H, W]; the pixels of `into` are written over.
+
+    Of a `window` only its texels are found, from the images around them. `sight` is that of the whole height where it
+    is known already.
+    """
+    btf, dtype = training.btf, training.dtype
+    rows = training.used.nonzero()[:, 0]
+    height = height.to(dtype)
+    sight = sight or look_along(training, height)
+    here = window or Window(0, 0, btf.height, btf.width)
+    if into is None:
+        size = tuple(here.crop(height).shape[-2:])
+        pixels = _space((len(rows), 3, *size), np.float64 if dtype == torch.float64 else np.float32)
+        flags = _space((len(rows), *size), np.uint8)
+    else:
+        pixels, flags = into.pixels, into.flags
+    _resample(training, rows, height, here, here.crop(sight.seen), pixels, flags)
+    slopes = here.crop(slopes_from_height(height, tiles=training.tiles))
+    # Lights are sorted as in the source, but those without a training sample are gone.
+    lit = here.crop(sight.lit)[btf.light_index[rows].unique()]
+    source = training if window is None else replace(training, btf=window.of(btf))
+    return Surface(source, _on_surface(source, pixels, flags, rows), pixels, flags, lit, slopes, window)
+
+
+def _resample(
+    training: Training, rows: Tensor, height: Tensor, window: Window, seen: Tensor, pixels: np.ndarray,
+    flags: np.ndarray,
+) -> None:
+    """Write samples `rows` at the window's texels on the surface into `pixels` and `flags`."""
+    btf, dtype = training.btf, training.dtype
+    slope = ray_slope(btf.views[:, :, None, None].to(dtype), btf.height, btf.width)
+    across, up = (float(height.abs().max() * part.abs().max()) for part in slope.unbind(1))
+    around = surroundings(btf, window, (up * btf.height, across * btf.width), training.tiles)
+    centres, raised = window.crop(texel_centres(btf.height, btf.width, dtype)), window.crop(height)
+    parts = torch.arange(len(rows)).split(max(1, _BLOCK // (3 * math.prod(around.size))))
+    for part in progress(parts, "onto the surface", show=training.progress):
+        which = btf.view_index[rows[part]]
+        position = around.place(centres - raised * slope[which])
+        first, last = int(part[0]), int(part[-1]) + 1
+        valid = around.valid(rows[part])
+        # Bicubic: what is interpolated here is interpolated again when the surface is seen, and blur adds up.
+        image = look_up(around.images(rows[part], dtype) * valid, position, training.tiles, "bicubic")
+        pixels[first:last] = image.clamp(min=0).numpy()
+        hidden = ~seen[which] | (look_up((~valid).to(dtype), position, training.tiles) > 0)
+        clipped = look_up(around.clipped(rows[part]).to(dtype), position, training.tiles) > 0
+        flags[first:last] = torch.where(hidden, INVALID, torch.where(clipped, CLIPPED, 0))[:, 0].numpy()
+
+
+def _on_surface(training: Training, pixels: np.ndarray, flags: np.ndarray, rows: Tensor) -> Training:
+    source = training.btf
+    decoder = Decoder(pixels.dtype, "linear", 1.0)
+    light, view = source.light[rows], source.view[rows]
+    btf = Btf(summarise(pixels, flags), light, view, decoder, source.source, source.clipped_weight)
+    importance = None if training.importance is None else training.importance[rows]
+    return replace(training, btf=btf, used=torch.ones(len(btf), dtype=torch.bool), importance=importance)
+
+
+def ambient(surface: Surface) -> Tensor:
+    """Return the mean [3, H, W] of what each texel shows in shadow; see `ambient_and_usual`."""
+    return ambient_and_usual(surface)[0]
+
+
+def ambient_and_usual(surface: Surface) -> tuple[Tensor, Tensor]:
+    """Return the mean [3, H, W] of what each texel shows in shadow, and what is usual, a number.
+
+    Texels that are hardly ever in shadow take what is usual for their colour: the mean of all shadowed samples over
+    that of all lit ones, times their own. `Training.shared` may know what is usual.
+    """
+    btf, dtype = surface.training.btf, surface.training.dtype
+    size = (btf.height, btf.width)
+    dark, bright = torch.zeros(3, *size, dtype=dtype), torch.zeros(3, *size, dtype=dtype)
+    dark_weight, bright_weight = torch.zeros(1, *size, dtype=dtype), torch.zeros(1, *size, dtype=dtype)
+    for block in btf.blocks(None, dtype, surface.training.progress):
+        lit = surface.shadow(block.samples)
+        weight = torch.ones_like(lit) if block.weight is None else block.weight.to(dtype)
+        shadowed, exposed = weight * (_DARK - lit).clamp(min=0) / _DARK, weight * (lit >= _LIT)
+        dark += (block.images * shadowed).sum(dim=0)
+        bright += (block.images * exposed).sum(dim=0)
+        dark_weight += shadowed.sum(dim=0)
+        bright_weight += exposed.sum(dim=0)
+    own = bright / bright_weight.clamp(min=1e-6)
+    usual = surface.training.shared.get("usual_ambient")
+    if usual is None:
+        with one_thread():
+            shadowed = dark.sum() / dark_weight.sum().clamp(min=1e-6)
+            exposed = bright.sum() / bright_weight.sum().clamp(min=1e-6)
+            usual = (shadowed / exposed.clamp(min=1e-12)).clamp(0, 1)
+    return (dark + usual * own) / (dark_weight + 1), usual
+
+
+def without_shadow(surface: Surface, ambient: Tensor) -> Training:
+    """Return training samples ``(value - ambient) / lit`` of what is lit; the rest has no weight.
+
+    The surface's own pixels are rewritten, so it can be used for nothing else afterwards.
+    """
+    btf = surface.training.btf
+    for block in btf.blocks(None, surface.training.dtype):
+        rows = slice(block.samples.start, block.samples.stop)
+        lit = surface.shadow(block.samples)
+        direct = (block.images - ambient) / lit.clamp(min=_LIT)
+        surface.pixels[rows] = direct.numpy()
+        flags = surface.flags[rows]
+        flags[(lit[:, 0] < _LIT).numpy()] = INVALID
+    store = summarise(surface.pixels, surface.flags)
+    decoder = Decoder(surface.pixels.dtype, "linear", 1.0)
+    bare = Btf(store, btf.light, btf.view, decoder, btf.source, btf.clipped_weight)
+    return replace(surface.training, btf=bare)

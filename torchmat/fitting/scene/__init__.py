@@ -1,0 +1,1 @@
+"""Fits of what a scene uses."""

@@ -1,0 +1,1 @@
+"""Fits tile by tile, in bounded memory."""

@@ -1,0 +1,83 @@
+"""How much memory a fit takes, and so how large its tiles may be."""
+
+from __future__ import annotations
+
+import math
+
+from torchmat.errors import RangeError, message
+from torchmat.fitting.training import Training
+from torchmat.models import Material
+
+USUAL_SIDE = 128
+_LEAST_SIDE, _MOST_SIDE, _STEP = 16, 1024, 16
+_FEWEST_TEXELS = _LEAST_SIDE**2
+_MB = 1e6
+# Roomy: a distribution in tiles of 240 x 240 under 441 samples, allowed 2500 MB, was measured to take 670 MB beside the
+# pages of the mapped images.
+_PROGRAM_MB = 420.0  # Python, torch and the libraries of one fit
+_BLOCKS_MB = 180.0  # a decoded block, its codes, and one more of each where samples have weights
+_WORK_BYTES = {"distribution": 24_000}  # a texel of a tile, apart from its samples
+_USUAL_WORK_BYTES = 9_000
+_RECOVERY_MB = 1200.0  # to recover a relief, most of it to compare images of 96 x 96, whatever their own size
+_KEPT_MB = {"pca": 260.0, "local_pca": 260.0}  # images that are decoded once where they are few
+
+
+def _texel_bytes(training: Training, model: str, relief: bool) -> float:
+    """Return the bytes that one texel of a tile takes while it is fitted."""
+    wide = training.dtype.itemsize / 4
+    samples = int(training.used.sum()) if relief or model == "distribution" else 0
+    return wide * _WORK_BYTES.get(model, _USUAL_WORK_BYTES) + samples * (12 * wide + 1)
+
+
+def _fixed_mb(training: Training, model: str, relief: bool) -> float:
+    wide = training.dtype.itemsize / 4
+    btf = training.btf
+    seen = (len(btf.lights) * 4 * wide + len(btf.views)) * btf.height * btf.width / _MB if relief else 0.0
+    return _PROGRAM_MB + _BLOCKS_MB * wide + _KEPT_MB.get(model, 0.0) * wide + seen
+
+
+def _joined_mb(material: Material, training: Training) -> float:
+    """Return what the maps of all texels take, twice: as they are joined, and as the material that holds them."""
+    channels = sum(spec.channels for spec in material.specs() if spec.per_texel and not spec.constant)
+    return 2 * channels * training.dtype.itemsize * training.btf.height * training.btf.width / _MB
+
+
+def most_texels(training: Training, model: str, relief: bool, memory_mb: float) -> int:
+    """Return how many texels may be fitted at once in `memory_mb`, 0 for no limit; raises RangeError for too few."""
+    if not memory_mb:
+        return training.btf.height * training.btf.width
+    left = memory_mb - _fixed_mb(training, model, relief)
+    _require(training, model, relief, memory_mb, left)
+    return int(left * _MB / _texel_bytes(training, model, relief))
+
+
+def choose_side(
+    training: Training, model: str, material: Material, relief: bool, tile: int, memory_mb: float
+) -> int:
+    """Return the side of the tiles; raises RangeError when not even small ones fit into `memory_mb`."""
+    if not memory_mb:
+        return tile or USUAL_SIDE
+    left = memory_mb - _fixed_mb(training, model, relief) - _joined_mb(material, training)
+    _require(training, model, relief, memory_mb, left)
+    side = math.isqrt(int(left * _MB / _texel_bytes(training, model, relief)))
+    if tile > side:
+        step = f"Use tile={side} at most, or 0 to have it chosen."
+        raise RangeError(message("fit", "tile", f"fit into {memory_mb:g} MB", f"it is {tile}", step))
+    return tile or max(_LEAST_SIDE, min(_MOST_SIDE, side // _STEP * _STEP))
+
+
+def require_recovery(memory_mb: float) -> None:
+    """Raise RangeError when `memory_mb` (0: no limit) is too little to recover a relief."""
+    if 0 < memory_mb < _RECOVERY_MB:
+        step = "Allow that, give a height map, or use geometry='flat'."
+        fact = f"it is {memory_mb:g}, and recovering the relief takes that much"
+        raise RangeError(message("fit", "memory_mb", f"be at least {_RECOVERY_MB:g}", fact, step))
+
+
+def _require(training: Training, model: str, relief: bool, memory_mb: float, left: float) -> None:
+    least = _FEWEST_TEXELS * _texel_bytes(training, model, relief) / _MB
+    if left < least:
+        needed = math.ceil(memory_mb - left + least)
+        fact = f"it is {memory_mb:g}, and {model} on this data takes {needed} MB with the smallest tiles"
+        step = "Allow that, shrink the images with downscale, or fit fewer samples."
+        raise RangeError(message("fit", "memory_mb", f"be at least {needed}", fact, step))

@@ -1,0 +1,93 @@
+"""What every fit is given, and what it gives back."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from torchmat.btf import Btf
+from torchmat.errors import FitError, message
+from torchmat.geometry import Relief
+from torchmat.models import Material
+from torchmat.solvers.clock import Watch
+from torchmat.solvers.stop_reasons import CLOSED_FORM
+
+
+@dataclass(frozen=True)
+class Training:
+    """The samples a fit may look at: `used` is bool [sample], lights above the horizon and not held out.
+
+    `tiles` says that the surface repeats. `importance` [sample] is what a sample counts (None: all alike); `watch` is
+    the fit's clock. `shared` is what all texels have in common where that is known already (`Fitted.shared`): a fit then
+    finds only what each texel has of its own, whatever other texels there are.
+    """
+
+    btf: Btf
+    used: Tensor
+    seed: int = 0
+    tiles: bool = True
+    dtype: torch.dtype = torch.float32
+    progress: bool | None = None
+    importance: Tensor | None = None
+    watch: Watch = field(default_factory=Watch)
+    shared: Mapping[str, Any] = field(default_factory=dict)
+
+    def counted(self, weight: Tensor, samples: range | Tensor) -> Tensor:
+        """Return weights [k, ...] of samples, a run or their numbers, times what each sample counts."""
+        if self.importance is None:
+            return weight
+        rows = slice(samples.start, samples.stop) if isinstance(samples, range) else samples
+        some = self.importance[rows].to(weight.dtype)
+        return weight * some.reshape(-1, *[1] * (weight.ndim - 1))
+
+    def drawn(self, rows: Tensor, generator: torch.Generator) -> Tensor:
+        """Return as many of `rows` in a random order: each once, or as often as it counts."""
+        if self.importance is None:
+            return rows[torch.randperm(len(rows), generator=generator)]
+        return rows[torch.multinomial(self.importance[rows].double(), len(rows), replacement=True, generator=generator)]
+
+    @property
+    def light(self) -> Tensor:
+        """Light of each sample as planes [sample, 3, 1, 1]."""
+        return self.btf.light[:, :, None, None]
+
+    @property
+    def view(self) -> Tensor:
+        """View of each sample as planes [sample, 3, 1, 1]."""
+        return self.btf.view[:, :, None, None]
+
+
+def make_training(
+    btf: Btf, train: Tensor, seed: int, tiles: bool, dtype: torch.dtype, progress: bool | None, watch: Watch | None = None
+) -> Training:
+    """Return the Training for sample indices `train`; raises FitError when no light is above the horizon."""
+    used = torch.zeros(len(btf), dtype=torch.bool)
+    used[train] = True
+    used &= btf.light[:, 2] > 0
+    if not bool(used.any()):
+        step = "Check the light directions: z points away from the surface."
+        raise FitError(message("fit", "the data", "have a sample lit from above", "none of the fitted ones is", step))
+    return Training(btf, used, seed, tiles, dtype, progress, watch=watch or Watch())
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """A material, why the solver stopped, the share of its unknowns each texel's samples determine, and figures.
+
+    `coverage` [1, H, W] or None where it has no meaning; `figures` go into the report under the model's own keys;
+    `relief` is the geometry that was recovered and used; `history` lists (seconds, error) of a solver in its own terms;
+    `shared` is what all texels have in common, as tensors or numbers: a fit of other texels takes it as
+    `Training.shared`.
+    """
+
+    material: Material
+    stop_reason: str = CLOSED_FORM
+    coverage: Tensor | None = None
+    figures: dict[str, Any] = field(default_factory=dict)
+    relief: Relief | None = None
+    history: list[tuple[float, float]] = field(default_factory=list)
+    shared: dict[str, Any] = field(default_factory=dict)
