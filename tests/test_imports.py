@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import importlib.metadata
 import subprocess
 import sys
 from pathlib import Path
@@ -23,9 +24,10 @@ ROOMS_THAT_DO_NOT_MEET = {room: _SIDE_BY_SIDE - {room} for room in _SIDE_BY_SIDE
 ROOMS_THAT_DO_NOT_MEET["models"] = {"btf"}
 
 PUBLIC = {
-    "Brdf", "Btf", "DataError", "FitConfig", "FitError", "FitResult", "Material", "RangeError", "Scene", "ShapeError",
-    "TorchmatError", "compare", "evaluate", "fit", "load_brdf", "load_btf", "load_config", "load_material", "render",
-    "sample_path", "sample_truth", "save_material", "split_samples",
+    "Brdf", "Btf", "Camera", "DataError", "Directional", "FitConfig", "FitError", "FitResult", "Material", "Point",
+    "RangeError", "RawBtf", "Recipe", "Scene", "ShapeError", "TorchmatError", "compare", "environment_lights", "evaluate",
+    "fit", "load_brdf", "load_btf", "load_config", "load_material", "pack", "recover_geometry", "refit", "register",
+    "render", "sample_path", "sample_truth", "save_material", "split_samples",
 }
 
 
@@ -69,6 +71,12 @@ def test_an_upward_import_is_found(tmp_path):
 def test_public_names_are_the_listed_ones():
     assert set(torchmat.__all__) == PUBLIC
     assert all(hasattr(torchmat, name) for name in PUBLIC)
+
+
+def test_no_package_has_the_name_of_a_public_function():
+    packages = {path.parent.name for path in PACKAGE.glob("*/__init__.py")}
+    assert not packages & PUBLIC
+    assert torchmat.__version__ == importlib.metadata.version("torchmat")
 
 
 def test_importing_the_package_leaves_heavy_libraries_alone():

@@ -2,16 +2,23 @@
 
 from torchmat.brdf import Brdf, load_brdf
 from torchmat.btf import Btf, load_btf, split_samples
+from torchmat.btf.interpolated import RawBtf
 from torchmat.errors import DataError, FitError, RangeError, ShapeError, TorchmatError
-from torchmat.fitting import FitConfig, FitResult, evaluate, fit, load_config
-from torchmat.material_io import load_material, save_material
+from torchmat.fitting import (
+    FitConfig, FitResult, Recipe, evaluate, fit, load_config, recover_geometry, refit, register,
+)
+from torchmat.machine import package_version
+from torchmat.material_io import load_material, pack, save_material
 from torchmat.models import Material
-from torchmat.rendering import Scene, render
+from torchmat.rendering import Camera, Directional, Point, Scene, environment_lights, render
 from torchmat.report import compare
 from torchmat.sample import sample_path, sample_truth
 
+__version__ = package_version()
+
 __all__ = [
-    "Brdf", "Btf", "DataError", "FitConfig", "FitError", "FitResult", "Material", "RangeError", "Scene", "ShapeError",
-    "TorchmatError", "compare", "evaluate", "fit", "load_brdf", "load_btf", "load_config", "load_material", "render",
-    "sample_path", "sample_truth", "save_material", "split_samples",
+    "Brdf", "Btf", "Camera", "DataError", "Directional", "FitConfig", "FitError", "FitResult", "Material", "Point",
+    "RangeError", "RawBtf", "Recipe", "Scene", "ShapeError", "TorchmatError", "compare", "environment_lights", "evaluate",
+    "fit", "load_brdf", "load_btf", "load_config", "load_material", "pack", "recover_geometry", "refit", "register",
+    "render", "sample_path", "sample_truth", "save_material", "split_samples",
 ]

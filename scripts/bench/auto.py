@@ -17,9 +17,9 @@ from torchmat.btf.btf import Btf
 from torchmat.fitting import FitResult
 from torchmat.fitting.choice.candidate import Option, fit_rung
 from torchmat.fitting.choice.climb import Climb
-from torchmat.fitting.choice.distribution_parts import PartsClimb
-from torchmat.fitting.choice.ladder import distribution_parts
+from torchmat.fitting.choice.parts import PartsClimb
 from torchmat.fitting.choice.shrink import Shrunk, shrink_steps, total_bytes
+from torchmat.fitting.recipe import RECIPES
 from torchmat.fitting.relief.recover import recover_relief
 from torchmat.fitting.training import make_training
 from torchmat.fitting.wanted import Target
@@ -159,8 +159,9 @@ def _search(name: str, btf: Btf, result: FitResult, found: float) -> dict[str, A
 
 def _search_parts(search: _Exhaustive, names: tuple[str, ...]) -> None:
     truest = min(search.options, key=lambda option: option.cost_in_full)
-    parts = [part for part in distribution_parts() if part.name in names]
-    climb = PartsClimb(search, truest.height)
+    recipe = RECIPES["distribution"]
+    parts = [part for part in recipe.ladder.parts if part.name in names]
+    climb = PartsClimb(search, recipe, truest.height)
     tried = {(): climb.best}
     for count in range(1, len(parts) + 1):
         for some in itertools.combinations(parts, count):

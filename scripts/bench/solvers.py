@@ -15,7 +15,8 @@ import torchmat as tm
 from torchmat.btf.btf import Btf
 from torchmat.fitting.evaluate import evaluate
 from torchmat.fitting.models.any_model import fit_by_descent
-from torchmat.fitting.recipes import FITTERS, SOLVERS, resolve_options
+from torchmat.fitting.recipe import RECIPES
+from torchmat.fitting.recipes import resolve_options
 from torchmat.fitting.training import Fitted, Training, make_training
 from torchmat.report.pictures import plotting, save_figure
 from torchmat.solvers.clock import Watch
@@ -59,17 +60,17 @@ def seconds_to(curve: Curve, error: float) -> float | None:
 
 
 def _own(model: str, options: dict[str, Any]) -> Run:
-    return lambda training: FITTERS[model](training, **resolve_options(model, options))
+    return lambda training: RECIPES[model].run(training, **resolve_options(model, options))
 
 
 def _adam(model: str, options: dict[str, Any], rate: float) -> Run:
     if model == "distribution":
         def run(training: Training) -> Fitted:
             with mock.patch.object(sys.modules["torchmat.fitting.models.distribution.fit"], "_RATE", rate):
-                return FITTERS[model](training, **resolve_options(model, {**options, "solver": "adam", "effort": 100.0}))
+                return RECIPES[model].run(training, **resolve_options(model, {**options, "solver": "adam", "effort": 100.0}))
         return run
     chosen = {name: value for name, value in resolve_options(model, options).items() if name != "solver"}
-    return lambda training: fit_by_descent(training, FITTERS[model], "adam", chosen, rate=rate, steps=10**6, tolerance=-1.0)
+    return lambda training: fit_by_descent(training, RECIPES[model].fit, "adam", chosen, rate=rate, steps=10**6, tolerance=-1.0)
 
 
 def _row(data: str, model: str, solver: str, curve: Curve, target: float, own: float, **more: Any) -> dict[str, Any]:
@@ -89,7 +90,7 @@ def _same_bits(btf: Btf, run: Run, found: Fitted) -> bool:
 def _case(data: str, btf: Btf, name: str, options: dict[str, Any]) -> tuple[list[dict[str, Any]], dict[str, Curve]]:
     """Return the rows of one model on one BTF, the default first, and the curves that they come from."""
     model = name.partition(":")[0]
-    default = SOLVERS[model][0]
+    default = RECIPES[model].all_solvers[0]
     _curve(btf, _own(model, options))  # warms up
     curve, found = _curve(btf, _own(model, options))
     target = curve[-1][1] * _NEAR
@@ -99,7 +100,7 @@ def _case(data: str, btf: Btf, name: str, options: dict[str, Any]) -> tuple[list
     rows = [_row(data, name, default, curve, target, own, rate=None, same_bits=same)]
     double = _curve(btf, _own(model, options), dtype=torch.float64)[0]
     rows.append(_row(data, name, f"{default}, float64", double, target, own, rate=None, same_bits=None))
-    for solver in SOLVERS[model][1:]:
+    for solver in RECIPES[model].all_solvers[1:]:
         if solver != "adam":
             curves[solver] = _curve(btf, _own(model, {**options, "solver": solver}), most)[0]
             rows.append(_row(data, name, solver, curves[solver], target, own, rate=None, same_bits=None))

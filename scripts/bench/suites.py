@@ -22,9 +22,10 @@ from measure import SHARED, in_fresh_process, median_of, timed
 
 import torchmat as tm
 from torchmat.btf import Btf
-from torchmat.fitting.recipes import FITTERS, resolve_options
+from torchmat.fitting.recipe import RECIPES
+from torchmat.fitting.recipes import resolve_options
 from torchmat.fitting.training import make_training
-from torchmat.report.compare import CLOSED_FORMS, parse_model
+from torchmat.report.compare import closed_forms, parse_model
 
 _WALLPAPER = SHARED / "real" / "ubo2003_wallpaper"
 _SEEDS = range(5)
@@ -37,7 +38,7 @@ def _fit_only(btf: Btf, model: str, options: dict[str, Any]) -> dict[str, float]
 
     def run() -> None:
         with torch.no_grad():
-            FITTERS[model](make_training(btf, split.train, 0, True, torch.float32, False), **chosen)
+            RECIPES[model].run(make_training(btf, split.train, 0, True, torch.float32, False), **chosen)
 
     return timed(run)
 
@@ -70,7 +71,7 @@ def accuracy() -> list[dict[str, Any]]:
             continue
         btf = tm.load_btf(path)
         extra = [f"{model}{',' if ':' in model else ':'}storage=png8" for model in ("ptm", "phong_srf:residual=half_light")]
-        for text in (*CLOSED_FORMS, *extra):
+        for text in (*closed_forms(), *extra):
             rows.append(_row(name, btf, text, seeds))
             row = rows[-1]
             print(f"{name:18s} {text:42s} {row['bytes_per_texel']:5.0f} B  {row['fit']['seconds']:7.4f} s  "

@@ -2,24 +2,32 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import torch
 from tests.support import all_pairs, hemisphere
 
 from torchmat import Btf
-from torchmat.fitting.choice import distribution_parts as parts
+from torchmat.fitting.choice import parts
+from torchmat.fitting.recipe import RECIPES
 
 LIGHT, VIEW = all_pairs(hemisphere(((0, 1), (25, 5), (50, 7), (70, 7))), hemisphere(((0, 1), (30, 3), (60, 4))))
 ONE_VIEW = hemisphere(((10, 4), (30, 8), (50, 12), (65, 12)))
 COLOUR = np.array([0.6, 0.4, 0.2])
 
 
+def with_parts(monkeypatch, parts, **bare):
+    """Let the distribution material be built of these parts, from the fewest with these options besides."""
+    recipe = RECIPES["distribution"]
+    ladder = replace(recipe.ladder, parts=tuple(parts), bare={**recipe.ladder.bare, **bare})
+    monkeypatch.setitem(RECIPES, "distribution", replace(recipe, ladder=ladder))
+
+
 def shorten_fits(monkeypatch) -> None:
     """Let the distribution material, which hardly a test of the choice is about, take a tenth of a second."""
     monkeypatch.setattr(parts, "_EFFORT", 0.002)
-    monkeypatch.setattr(parts, "distribution_parts", list)
-    bare = parts.bare_distribution()
-    monkeypatch.setattr(parts, "bare_distribution", lambda: {**bare, "effort": 0.002, "specular_size": 8})
+    with_parts(monkeypatch, (), effort=0.002, specular_size=8)
 
 
 def colours(size: int, detail: bool = True) -> np.ndarray:

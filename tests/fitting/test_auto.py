@@ -17,11 +17,10 @@ import torchmat as tm
 from torchmat import Btf, FitConfig, FitError, RangeError, load_config
 from torchmat.fitting import evaluate
 from torchmat.fitting.choice import climb
-from torchmat.fitting.choice import distribution_parts as parts
 from torchmat.fitting.choice.choose import MET, NOT_MET, WITHIN
 from torchmat.fitting.choice.examine import Examiner, keep_back, wanted_cost
-from torchmat.fitting.choice.ladder import Part
 from torchmat.fitting.choice.shrink import total_bytes
+from torchmat.fitting.recipe import Part
 from torchmat.fitting.training import make_training
 from torchmat.fitting.wanted import Target
 
@@ -108,7 +107,7 @@ def test_a_height_map_is_taken_as_it_is():
 
 def test_the_distribution_material_is_built_part_by_part(monkeypatch):
     some = [Part("rotation", 2, {"rotation": "yes"}), Part("Fresnel", 1, {"fresnel": "yes"}), Part("3 lobes", 3, {"lobes": 3})]
-    monkeypatch.setattr(parts, "distribution_parts", lambda: some)
+    data.with_parts(monkeypatch, some)
     result = tm.fit(data.glossy(data.colours(6)), "auto", psnr=60, geometry="flat")
     tried = [row["candidate"] for row in rows_of(result) if row["candidate"].startswith("distribution")]
     assert tried[0] == "distribution" and tried[1] == "distribution + rotation"

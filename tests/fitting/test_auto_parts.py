@@ -6,9 +6,10 @@ import math
 from types import SimpleNamespace
 
 import pytest
+from tests.fitting.auto_data import with_parts
 
-from torchmat.fitting.choice import distribution_parts as parts
-from torchmat.fitting.choice.ladder import Part
+from torchmat.fitting.choice import parts
+from torchmat.fitting.recipe import RECIPES, Part
 
 A, B, C, TWO, THREE = (
     Part("a", 1, {"a": "yes"}), Part("b", 1, {"b": "yes"}), Part("c", 1, {"c": "yes"}), Part("2 lobes", 2, {"lobes": 2}),
@@ -34,10 +35,10 @@ class Made:
 
 
 def kept(monkeypatch, some, decibels, **more):
-    monkeypatch.setattr(parts, "distribution_parts", lambda: some)
+    with_parts(monkeypatch, some)
     climb = Made(decibels, **more)
     found = parts.PartsClimb.__new__(parts.PartsClimb)
-    found.climb, found.height, found.kept = climb, None, []
+    found.climb, found.recipe, found.height, found.kept = climb, RECIPES["distribution"], None, []
 
     def pilot(chosen, before, by, fewer=False):
         names = frozenset(part.name for part in chosen)

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from torchmat import DataError, RangeError, load_btf, load_config
-from torchmat.fitting import FITTERS, default_options
+from torchmat.fitting import RECIPES, default_options
 from torchmat.fitting.data_settings import DATA_KEYS
 from torchmat.fitting.recipes import AUTO
 
@@ -23,7 +23,7 @@ def write(folder, text, encoding="utf-8"):
 
 @pytest.mark.parametrize("path", sorted(CONFIGS.glob("*.toml")), ids=lambda path: path.stem)
 def test_the_shipped_configs_load(path):
-    assert load_config(path).model in (*FITTERS, AUTO)
+    assert load_config(path).model in (*RECIPES, AUTO)
 
 
 def test_windows_line_ends_and_a_byte_order_mark(tmp_path):
@@ -127,6 +127,6 @@ def test_a_missing_file_is_named(tmp_path):
         load_config(tmp_path / "nowhere.toml")
 
 
-@pytest.mark.parametrize("model", FITTERS)
+@pytest.mark.parametrize("model", RECIPES)
 def test_every_default_is_of_a_kind_that_can_be_checked(model):
     assert all(type(value) in (bool, int, float, str) for value in default_options(model).values())

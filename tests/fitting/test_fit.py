@@ -12,7 +12,7 @@ from tests.support import all_pairs, assert_close, hemisphere, plausible_images
 
 import torchmat as tm
 from torchmat import Btf, FitConfig, FitError, RangeError
-from torchmat.fitting import FITTERS, evaluate, predict
+from torchmat.fitting import RECIPES, evaluate, predict
 
 REPORT_KEYS = {
     "model", "options", "samples", "texels", "seed", "bytes_per_texel", "fit_seconds", "load_seconds",
@@ -47,7 +47,7 @@ def same_bits(first, second):
     return all(torch.equal(value, maps_of(second)[name]) for name, value in maps_of(first).items())
 
 
-@pytest.mark.parametrize("model", FITTERS)
+@pytest.mark.parametrize("model", RECIPES)
 def test_the_report_has_the_keys_of_the_design(model, btf):
     report = tm.fit(btf, model, **OPTIONS.get(model, {})).report
     assert set(report) == REPORT_KEYS | EXTRA_KEYS
@@ -63,7 +63,7 @@ def test_the_report_has_the_keys_of_the_design(model, btf):
     assert 0 < figures["relative_error"] < 0.2
 
 
-@pytest.mark.parametrize("model", FITTERS)
+@pytest.mark.parametrize("model", RECIPES)
 @pytest.mark.parametrize("by", ["pair", "light", "view"])
 def test_held_out_images_leave_no_trace(model, by, btf):
     honest = tm.fit(btf, model, holdout_by=by, measure=False, **OPTIONS.get(model, {}))
@@ -76,7 +76,7 @@ def test_held_out_images_leave_no_trace(model, by, btf):
     assert same_bits(honest, other)
 
 
-@pytest.mark.parametrize("model", FITTERS)
+@pytest.mark.parametrize("model", RECIPES)
 def test_held_out_masks_leave_no_trace(model):
     weight = np.random.default_rng(0).random((len(LIGHT), 6, 7)) > 0.1
     options = OPTIONS.get(model, {})
@@ -109,7 +109,7 @@ def test_seeds_choose_the_split(btf):
     assert not torch.equal(first.split.held_out, other.split.held_out)
 
 
-@pytest.mark.parametrize("model", FITTERS)
+@pytest.mark.parametrize("model", RECIPES)
 def test_double_precision_agrees_with_single(model, btf):
     # One cluster: k-means from other rounding may end in another local minimum.
     options = {**OPTIONS.get(model, {}), "storage": "float"} | ({"clusters": 1} if model == "local_pca" else {})

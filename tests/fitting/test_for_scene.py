@@ -13,9 +13,10 @@ import torchmat as tm
 from torchmat import Btf, DataError, RangeError, Scene, fit
 from torchmat.btf.interpolated import RawBtf
 from torchmat.fitting.evaluate import comparable
+from torchmat.fitting.geometry import Flat
 from torchmat.fitting.models.lobe import fit_lobe
 from torchmat.fitting.models.streamed import solve_texels, stream_moments
-from torchmat.fitting.recipes import FITTERS
+from torchmat.fitting.recipe import RECIPES
 from torchmat.fitting.scene.fit import choose
 from torchmat.fitting.training import Training, make_training
 from torchmat.metrics import relative
@@ -92,7 +93,7 @@ def test_a_weighted_lobe_is_that_of_repeated_samples():
 def test_samples_that_count_alike_give_the_plain_fit(btf, model):
     options, plain = SMALL.get(model, {}), Training(btf, torch.ones(len(btf), dtype=torch.bool), dtype=torch.float64)
     with torch.no_grad():
-        expected, found = (FITTERS[model](t, **options).material for t in (plain, everything(btf)))
+        expected, found = (RECIPES[model].run(t, **options).material for t in (plain, everything(btf)))
     for name, value in expected.maps.items():
         assert_close(found.maps[name], value, 1e-9)
 
@@ -104,8 +105,8 @@ def test_a_sample_that_counts_twice_is_the_sample_given_twice(btf, model):
     training = Training(btf, torch.ones(len(btf), dtype=torch.bool), dtype=torch.float64, importance=times)
     doubled = btf.picked(torch.cat((torch.arange(len(btf)), torch.arange(0, len(btf), 3))))
     with torch.no_grad():
-        found = FITTERS[model](training).material
-        expected = FITTERS[model](everything(doubled)).material
+        found = RECIPES[model].run(training).material
+        expected = RECIPES[model].run(everything(doubled)).material
     for name, value in expected.maps.items():
         assert_close(found.maps[name], value, 1e-9)
 
@@ -121,7 +122,7 @@ def test_images_are_drawn_as_often_as_they_count(btf):
     assert torch.equal(*again)
 
 
-@pytest.mark.parametrize("model", sorted(FITTERS))
+@pytest.mark.parametrize("model", sorted(RECIPES))
 def test_every_model_fits_a_scene_and_reports_it(btf, scene, model):
     result = fit(btf, model, scene=scene, **SMALL.get(model, {}))
     found = result.report["scene"]
@@ -141,7 +142,7 @@ def test_inside_of_the_scene_the_error_is_smaller_than_that_of_the_whole_fit(btf
 
 def test_samples_that_the_scene_uses_are_kept_and_count_most(btf, scene):
     training = make_training(btf, torch.arange(len(btf)), 0, True, torch.float32, False)
-    choice = choose(training, scene.use(), "flat")
+    choice = choose(training, scene.use(), Flat())
     weight = scene.use().sample_weights(btf.light, btf.view).weight
     assert float(weight[choice.rows].sum()) > 0.95
     assert float(choice.importance.mean()) == pytest.approx(1)
@@ -153,7 +154,7 @@ def test_samples_that_the_scene_uses_are_kept_and_count_most(btf, scene):
 def test_held_out_samples_leave_no_trace(btf, scene):
     rows = torch.arange(0, len(btf), 2)
     training = make_training(btf, rows, 0, True, torch.float32, False)
-    assert set(choose(training, scene.use(), "flat").rows.tolist()) <= set(rows.tolist())
+    assert set(choose(training, scene.use(), Flat()).rows.tolist()) <= set(rows.tolist())
 
 
 def test_a_window_of_the_texture_gives_the_picture_of_the_whole(btf):

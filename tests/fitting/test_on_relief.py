@@ -12,7 +12,7 @@ from tests.support import assert_close
 
 import torchmat as tm
 from torchmat import RangeError, ShapeError
-from torchmat.fitting import FITTERS, FitResult, on_relief, predict
+from torchmat.fitting import RECIPES, FitResult, on_relief, predict
 from torchmat.fitting.models.linear import _two_non_negative
 from torchmat.fitting.relief.recover import Recovery
 from torchmat.geometry import Relief
@@ -31,7 +31,7 @@ GAIN = {
     "texture": 2.3, "lambert": 14, "ptm": 14, "lptm": 14, "hsh": 14, "phong_srf": 3, "pca": 3.5, "local_pca": 3,
     "distribution": 12, "sphere_images": 2.2,
 }
-every_model = pytest.mark.parametrize("model", FITTERS)
+every_model = pytest.mark.parametrize("model", RECIPES)
 
 
 @functools.lru_cache(maxsize=None)

@@ -9,10 +9,9 @@ from tests.support import all_pairs, assert_close, hemisphere, plausible_images
 
 import torchmat as tm
 from torchmat import Btf, RangeError
-from torchmat.fitting import FITTERS, default_options
+from torchmat.fitting import RECIPES, default_options
 from torchmat.fitting.models.any_model import Objective
 from torchmat.fitting.models.unbounded import Unbounded
-from torchmat.fitting.recipes import SOLVERS
 from torchmat.fitting.training import make_training
 from torchmat.models.bases import BASES
 from torchmat.models.lobes import LOBES
@@ -33,9 +32,10 @@ def training_error(btf, **given):
 
 
 def test_every_model_names_its_solvers_and_the_first_is_the_default():
-    assert set(SOLVERS) == set(FITTERS)
-    for model, solvers in SOLVERS.items():
-        assert default_options(model)["solver"] == solvers[0]
+    for model, recipe in RECIPES.items():
+        assert default_options(model)["solver"] == recipe.all_solvers[0]
+    assert RECIPES["hsh"].all_solvers == ("closed_form", "adam", "minibatch", "lbfgs")
+    assert RECIPES["phong_srf"].all_solvers[:2] == ("lm", "varpro") and RECIPES["pca"].all_solvers == ("closed_form",)
 
 
 @pytest.mark.parametrize(("model", "solver"), [*STEPPED, ("ptm", "minibatch")])
@@ -49,7 +49,7 @@ def test_lbfgs_stops_where_the_gradient_is_nearly_zero():
     btf = small(np.float64)
     training = make_training(btf, torch.arange(len(btf)), 0, True, torch.float64, False)
     with torch.no_grad():
-        fitted = FITTERS["hsh"](training, solver="lbfgs", terms=4).material
+        fitted = RECIPES["hsh"].run(training, solver="lbfgs", terms=4).material
     worse = fitted.with_maps(harmonic=fitted.maps["harmonic"] * 0.5)
     gradients = []
     for material in (worse, fitted):
@@ -63,7 +63,7 @@ def test_the_objective_is_the_weighted_error_of_a_plain_loop():
     btf = small(np.float64)
     training = make_training(btf, torch.arange(0, len(btf), 2), 0, True, torch.float64, False)
     with torch.no_grad():
-        material = FITTERS["texture"](training).material
+        material = RECIPES["texture"].run(training).material
     unknowns = Unbounded(material)
     found = Objective(training, unknowns)()
     above = below = 0.0

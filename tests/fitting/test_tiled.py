@@ -7,6 +7,7 @@ import json
 import os
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,12 +18,12 @@ from tests.support import all_pairs, assert_close, hemisphere, plausible_images
 
 import torchmat as tm
 from torchmat import Btf, DataError, FitConfig, RangeError
-from torchmat.fitting import FITTERS
+from torchmat.fitting import RECIPES
+from torchmat.fitting.geometry import Flat, Recover
 from torchmat.fitting.relief.surface import bring_onto
 from torchmat.fitting.relief.window import Window, surroundings
 from torchmat.fitting.tiles import work as tile_files
 from torchmat.fitting.tiles import memory as tile_memory
-from torchmat.fitting.tiles import plan as tile_plan
 from torchmat.fitting.tiles import fit as tiled
 from torchmat.fitting.tiles.work import fit_key, open_work
 from torchmat.fitting.training import make_training
@@ -34,7 +35,7 @@ OPTIONS = {
         "storage": "half",
     },
 }
-TILED = [name for name in FITTERS if name not in tile_plan.NOT_TILED]
+TILED = [name for name in RECIPES if RECIPES[name].tiling.refused is None]
 # Largest difference to the fit of the whole, relative to a map's largest value, in float64: sums round otherwise in
 # blocks of other lengths. Measured below 1e-12, also after ten of Adam's steps.
 BOUND = 1e-10
@@ -128,7 +129,9 @@ def test_surroundings_reach_over_the_border_of_what_tiles():
 
 
 def test_what_is_shared_comes_from_a_bounded_choice_of_texels(monkeypatch):
-    monkeypatch.setattr(tile_plan, "_SHARING", 30)
+    recipe = RECIPES["phong_srf"]
+    few = replace(recipe, tiling=replace(recipe.tiling, sharing_texels=30))
+    monkeypatch.setitem(RECIPES, "phong_srf", few)
     found = fitted("phong_srf", 8)
     assert found.report["figures"]["tiles"]["texels_for_what_is_shared"] == 5 * 4  # every fifth row and column
     whole = fitted("phong_srf", 0)
@@ -291,7 +294,7 @@ def test_a_folder_with_anything_else_is_refused(tmp_path):
 def test_what_is_put_beside_the_work_stays(tmp_path):
     work = tmp_path / "work"
     training = make_training(btf_of(), torch.arange(len(btf_of())), 0, True, torch.float32, False)
-    open_work(work, training, "texture", {}, "flat", 8, 0)
+    open_work(work, training, "texture", {}, Flat(), 8, 0)
     (work / "letter.txt").write_text("dear")
     tile_files.clear_work(work)
     assert [path.name for path in work.iterdir()] == ["letter.txt"]
@@ -302,8 +305,8 @@ def test_a_plan_comes_back_as_it_was(tmp_path):
     training = make_training(scene.btf(), torch.arange(len(scene.btf())), 0, True, torch.float32, False)
     options = {"base": "phong", "residual": "half", "phong": "mean_brdf", "ridge": 1e-4, "storage": "half"}
     with torch.no_grad():
-        plan = tiled.plan_tiles(training, "phong_srf", options, "recover", 9, 0)
-    work = open_work(tmp_path / "work", training, "phong_srf", {}, "recover", 9, 0)
+        plan = tiled.plan_tiles(training, "phong_srf", options, Recover(), 9, 0)
+    work = open_work(tmp_path / "work", training, "phong_srf", {}, Recover(), 9, 0)
     work.save_plan(plan)
     again = work.load_plan()
     assert again.windows == plan.windows and again.figures == json.loads(json.dumps(plan.figures))
@@ -318,7 +321,7 @@ def test_a_plan_comes_back_as_it_was(tmp_path):
 def test_other_data_has_another_key():
     def key(btf: Btf, **more):
         training = make_training(btf, torch.arange(len(btf)), 0, True, torch.float32, False)
-        return fit_key(training, "ptm", {}, "flat", 8, 0)
+        return fit_key(training, "ptm", {}, Flat(), 8, 0)
 
     light, view = all_pairs(hemisphere(((0, 1), (40, 4))), hemisphere(((0, 1),)))
     images = plausible_images(light, view, 4, 4)

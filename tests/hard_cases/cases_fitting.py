@@ -21,7 +21,7 @@ from torchmat.btf.decode import Decoder
 from torchmat.fitting import predict
 from torchmat.fitting.models import any_model as by_descent
 from torchmat.fitting.models.any_model import DESCENTS
-from torchmat.fitting.recipes import SOLVERS
+from torchmat.fitting.recipe import RECIPES
 from torchmat.solvers import stop_reasons as reasons
 
 LIGHTS = hemisphere()
@@ -35,7 +35,7 @@ Road = tuple[str, str]
 
 def is_default(given: Road) -> bool:
     """Return whether the solver is the model's first."""
-    return given[1] == SOLVERS[given[0]][0]
+    return given[1] == RECIPES[given[0]].all_solvers[0]
 
 
 def closed(given: Road) -> bool:

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 from tests.models.examples import EXAMPLE_OPTIONS
 
 from torchmat.fitting.models import any_model as by_descent
-from torchmat.fitting.recipes import SOLVERS
+from torchmat.fitting.recipe import RECIPES
 from torchmat.models import MATERIALS
 from torchmat.rendering.scene import PATCH
 from torchmat.rendering.shapes import SHAPES
@@ -64,7 +64,7 @@ def models() -> list[Component]:
 
 def solvers() -> list[Component]:
     """Return every model with each of its solvers: what fits."""
-    return [Component("solver", f"{model}-{solver}", (model, solver)) for model, several in SOLVERS.items() for solver in several]
+    return [Component("solver", f"{model}-{solver}", (model, solver)) for model, recipe in RECIPES.items() for solver in recipe.all_solvers]
 
 
 def readers() -> list[Component]:

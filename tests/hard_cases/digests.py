@@ -45,14 +45,14 @@ def platform_key() -> str:
 
 def fits() -> dict[str, tuple[str, dict[str, Any]]]:
     """Return model and options of each fit: every registered model, small and by its default solver, and a few variants."""
-    from torchmat.fitting.recipes import FITTERS
+    from torchmat.fitting.recipe import RECIPES
 
     small = {
         "pca": {"components": 4}, "local_pca": {"clusters": 3, "components": 3},
         "distribution": {"lobes": 1, "fresnel": "yes", "rotation": "yes", "specular_size": 8, "effort": 0.02},
         "neural": {"latent": 2, "hidden": 4, "effort": 0.01},
     }
-    found = {model: (model, small.get(model, {})) for model in FITTERS}
+    found = {model: (model, small.get(model, {})) for model in RECIPES}
     variants = {
         "phong_srf": ({"residual": "half_light"}, {"base": "ashikhmin_shirley"}, {"solver": "varpro"}),
         "ptm": ({"solver": "adam"}, {"solver": "lbfgs"}), "hsh": ({"terms": 16},),

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from tests.hard_cases import digests
 
-from torchmat.fitting import FITTERS
+from torchmat.fitting import RECIPES
 
 
 def test_15_small_fits_give_what_is_stored():
     found = digests.results()
-    assert {digests.fits()[name][0] for name in found} == set(FITTERS)
+    assert {digests.fits()[name][0] for name in found} == set(RECIPES)
     said = digests.changed(found)
     known = digests.platform_key() in digests.stored()["digests"]
     step = f"If this is meant, store them: {digests.STORE}."

@@ -15,7 +15,7 @@ from tests.support import all_pairs, assert_close, hemisphere, plausible_images
 
 import torchmat as tm
 from torchmat import Btf, FitError, RangeError, ShapeError
-from torchmat.fitting import FITTERS, predict, recover_geometry
+from torchmat.fitting import RECIPES, predict, recover_geometry
 from torchmat.geometry import normals_from_slopes, poisson, slopes_from_height, soft_shadow, trace_view, visible
 from torchmat.geometry.relief import texel_centres
 
@@ -41,7 +41,7 @@ def test_3_steep_slopes_give_unit_normals(slope, dtype):
     assert bool(torch.isfinite(slopes.grad).all())
 
 
-@pytest.mark.parametrize("model", FITTERS)
+@pytest.mark.parametrize("model", RECIPES)
 def test_8_tiny_and_huge_values_in_one_btf(model):
     """Columns of 1e-8 beside columns of 1e4, on a relief that moves texels by less than one: the dark are not lost."""
     scene = relief_scene(depth=0.02, offset=0.0, finest=3)
@@ -69,7 +69,7 @@ def checked(btf: Btf, model: str, height: torch.Tensor, **options) -> tm.Materia
     return material
 
 
-@pytest.mark.parametrize("model", FITTERS)
+@pytest.mark.parametrize("model", RECIPES)
 def test_9_a_black_texel_and_one_lit_once(model):
     images = plausible_images(LIGHT, VIEW, 8, 8)
     images[:, :, 2, 3] = 0
@@ -84,7 +84,7 @@ def test_9_a_black_texel_and_one_lit_once(model):
         assert float(albedo[:, 2, 3].max()) < 0.5 * float(albedo.mean())
 
 
-@pytest.mark.parametrize("model", FITTERS)
+@pytest.mark.parametrize("model", RECIPES)
 @pytest.mark.parametrize("which", ["one light", "one view", "coplanar lights", "two identical", "one sample", "two samples"])
 def test_9_directions_that_do_not_determine_a_model_on_a_given_height(model, which):
     line = np.stack((np.sin(np.linspace(-1, 1, 9)), np.zeros(9), np.cos(np.linspace(-1, 1, 9))), axis=1)
@@ -160,7 +160,7 @@ def test_10_rays_and_slopes_on_odd_sizes(size, tiles, dtype):
     assert found.shape == (1, *size) and bool(torch.isfinite(found).all())
 
 
-@pytest.mark.parametrize("model", FITTERS)
+@pytest.mark.parametrize("model", RECIPES)
 @pytest.mark.parametrize("size", [(1, 9), (9, 1), (7, 13)])
 def test_10_fits_over_odd_sizes(model, size):
     btf = Btf.from_tensors(plausible_images(LIGHT, VIEW, *size).astype(np.float32), LIGHT, VIEW)

@@ -10,7 +10,7 @@ from tests.hard_cases import table
 from tests.hard_cases.components import KINDS, NotHere, Room
 from tests.hard_cases.table import NOT_YET_CHECKED, TABLE, TITLES, Entry, Row, entries, measured, summary
 
-from torchmat.fitting.recipes import FITTERS, SOLVERS
+from torchmat.fitting.recipe import RECIPES, Recipe
 from torchmat.models import MATERIALS, Texture
 from torchmat.models.storage import STORAGES
 
@@ -47,8 +47,8 @@ def test_the_cases_are_those_of_the_list():
 def test_everything_registered_is_in_the_table():
     of_kind = {kind: {entry.component.name for entry in EVERY if entry.component.kind == kind} for kind in KINDS}
     models = {entry.component.given[0] for entry in EVERY if entry.component.kind == "model"}
-    assert models == set(MATERIALS) and set(SOLVERS) == set(FITTERS)
-    assert of_kind["solver"] == {f"{model}-{solver}" for model, several in SOLVERS.items() for solver in several}
+    assert models == set(MATERIALS) == set(RECIPES)
+    assert of_kind["solver"] == {f"{model}-{solver}" for model, recipe in RECIPES.items() for solver in recipe.all_solvers}
     assert {f"folder, {storage}" for storage in STORAGES} < of_kind["writer"]
     assert {".3pm", "packed, 8 bits", "relief, 16", "picture", "report"} < of_kind["writer"]
     assert len({entry.label for entry in EVERY}) == len(EVERY)
@@ -63,8 +63,8 @@ def _new_model(monkeypatch):
 
 
 def test_a_model_is_covered_as_soon_as_it_is_registered(monkeypatch, tmp_path):
-    _new_model(monkeypatch)
-    monkeypatch.setitem(SOLVERS, "added", ("closed_form",))
+    kind = _new_model(monkeypatch)
+    monkeypatch.setitem(RECIPES, "added", Recipe(kind, lambda training: None, descends=False))
     found = [entry for entry in entries() if entry.component.name.startswith("added")]
     cases = {kind: {case for case, rows in TABLE.items() if isinstance(rows[kind], Row)} for kind in KINDS}
     assert {entry.case for entry in found if entry.component.kind == "model"} == cases["model"]

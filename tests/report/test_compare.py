@@ -13,7 +13,7 @@ from tests.support import all_pairs, hemisphere, plausible_images
 import torchmat as tm
 from torchmat import Btf, RangeError
 from torchmat.report import compare, write_comparison
-from torchmat.report.compare import CLOSED_FORMS, DEFAULT_MODELS, parse_model
+from torchmat.report.compare import closed_forms, default_models, parse_model
 from torchmat.report.compare_plots import PLOTS, write_plots
 from torchmat.report.compare_rows import entry_of, front, judged, mark_fronts
 from torchmat.report.place_labels import overlap, place
@@ -113,11 +113,11 @@ def test_a_relief_that_the_data_cannot_show_fails_alone():
 
 
 def test_the_default_has_every_family():
-    families = {text.partition(":")[0] for text in DEFAULT_MODELS}
+    families = {text.partition(":")[0] for text in default_models()}
     assert families == set(tm.models.MATERIALS)
-    assert not any(text.startswith(("neural", "distribution")) for text in CLOSED_FORMS)
-    assert {"phong_srf:solver=varpro", "phong_srf:solver=adam", "distribution:solver=lbfgs"} <= set(DEFAULT_MODELS)
-    assert len({repr(entry_of(text, "flat")) for text in DEFAULT_MODELS}) == len(DEFAULT_MODELS)
+    assert not any(text.startswith(("neural", "distribution")) for text in closed_forms())
+    assert {"phong_srf:solver=varpro", "phong_srf:solver=adam", "distribution:solver=lbfgs"} <= set(default_models())
+    assert len({repr(entry_of(text, "flat")) for text in default_models()}) == len(default_models())
 
 
 @pytest.mark.parametrize(("models", "settings", "said"), [

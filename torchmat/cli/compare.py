@@ -39,7 +39,7 @@ class Compare:
     read: Annotated[DataArguments, tyro.conf.arg(name="")] = field(default_factory=DataArguments)
 
     def run(self) -> None:
-        from torchmat.report.compare import DEFAULT_MODELS, check_target, compare, write_comparison
+        from torchmat.report.compare import default_models, check_target, compare, write_comparison
         from torchmat.report.tables import comparison_table
 
         if self.out is not None:
@@ -48,7 +48,7 @@ class Compare:
         title = f"Models on {Path(self.data).name}"
         keep = None if self.out is None else lambda rows: write_comparison(rows, self.out, title, plots=False)
         rows = compare(
-            btf, self.models or DEFAULT_MODELS, budget=self.budget, repeats=self.repeats, geometry=self.geometry,
+            btf, self.models or default_models(), budget=self.budget, repeats=self.repeats, geometry=self.geometry,
             curves=self.curves, holdout=self.holdout, holdout_by=self.holdout_by, seed=self.seed, each=keep,
         )
         print(comparison_table(rows))

@@ -34,7 +34,7 @@ class Fit:
     def run(self) -> None:
         from torchmat.fitting import fit, load_config
         from torchmat.fitting.choice.choose import NOT_MET
-        from torchmat.material_io import check_target, load_height
+        from torchmat.material_io import check_target
         from torchmat.rendering.scene_file import load_scene
         from torchmat.report import write_fit
         from torchmat.report.decisions import outcome_text
@@ -42,10 +42,9 @@ class Fit:
 
         check_target(self.out)  # before the work, not after it
         config = load_config(self.config, self.set).read_as(self.read.keywords())
-        height = None if config.height_path is None else load_height(config.height_path)
         scenes = [load_scene(path) for path in self.scene]
         btf = self.read.load(self.data, config.data)
-        result = fit(btf, config, geometry=height, work=self.work, scene=scenes or None)
+        result = fit(btf, config, work=self.work, scene=scenes or None)
         folder = write_fit(btf, result, self.out, pictures=not self.no_pictures)
         choice = result.report["figures"].get("auto")
         if choice:

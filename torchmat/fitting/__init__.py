@@ -3,11 +3,12 @@
 from torchmat.fitting.config import FitConfig, load_config
 from torchmat.fitting.evaluate import evaluate, predict
 from torchmat.fitting.fit import FitResult, fit
-from torchmat.fitting.recipes import FITTERS, default_options
+from torchmat.fitting.recipe import RECIPES, Recipe, register
+from torchmat.fitting.recipes import default_options
 from torchmat.fitting.refit import Refit, refit
 from torchmat.fitting.relief.recover import recover_geometry
 
 __all__ = [
-    "FITTERS", "FitConfig", "FitResult", "Refit", "default_options", "evaluate", "fit", "load_config", "predict",
-    "recover_geometry", "refit",
+    "RECIPES", "FitConfig", "FitResult", "Recipe", "Refit", "default_options", "evaluate", "fit", "load_config", "predict",
+    "recover_geometry", "refit", "register",
 ]

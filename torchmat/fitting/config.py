@@ -13,7 +13,7 @@ from typing import Any
 from torchmat.btf.split import HOLDOUT_WAYS
 from torchmat.errors import RangeError, check_known_keys, check_option, message
 from torchmat.fitting.data_settings import DATA_KEYS, check_data_settings
-from torchmat.fitting.on_relief import GEOMETRIES
+from torchmat.fitting.geometry import AUTO_RELIEF, GEOMETRIES, is_path
 from torchmat.fitting.recipes import AUTO, resolve_options
 from torchmat.fitting.wanted import make_target
 from torchmat.text_file import read_toml
@@ -23,7 +23,7 @@ from torchmat.text_file import read_toml
 class FitConfig:
     """Everything that decides a fit, apart from the data itself.
 
-    `options` are the model's; `geometry` is "flat", "recover", or for the command line the path of a height map; left out
+    `options` are the model's; `geometry` is "flat", "recover", or the path of a height map; left out
     it is "flat", and for the model "auto" it is "auto", which leaves the relief to the data;
     `target` holds what `Target` does: the wanted error and budgets of the model "auto", and the seconds of any other;
     `tile` is the side of the tiles of texels that are fitted one after the other and `memory_mb` what a fit may take,
@@ -46,6 +46,9 @@ class FitConfig:
         if self.geometry is None:
             object.__setattr__(self, "geometry", AUTO if self.model == AUTO else "flat")
         resolve_options(self.model, self.options)
+        if not is_path(self.geometry):
+            words = (*GEOMETRIES, *([AUTO_RELIEF] if self.model == AUTO else []), "the path of a height map")
+            check_option("config", "geometry", self.geometry, words)
         make_target("config [target]", self.target)
         for name in ("tile", "memory_mb"):
             if not 0 <= getattr(self, name) < math.inf:
@@ -65,11 +68,6 @@ class FitConfig:
         """Return this config with keywords of `load_btf` in place of those of its `data`; those of the cache are none."""
         chosen = {name: value for name, value in keywords.items() if name in DATA_KEYS}
         return dataclasses.replace(self, data={**self.data, **chosen})
-
-    @property
-    def height_path(self) -> str | None:
-        """The path of the height map that `geometry` names; None where it names a way."""
-        return None if self.geometry in (*GEOMETRIES, AUTO) else self.geometry
 
 
 def _typed(where: str, table: dict[str, Any]) -> dict[str, Any]:

@@ -17,6 +17,8 @@ from torchmat.errors import RangeError, message
 from torchmat.fitting.choice.choose import fit_auto
 from torchmat.fitting.config import FitConfig, load_config
 from torchmat.fitting.evaluate import PARTS, evaluate, evaluate_parts, shading_rate
+from torchmat.fitting.from_material import descent_of, fit_from, kept_names
+from torchmat.fitting.geometry import Geometry, Given, resolve_geometry
 from torchmat.fitting.on_relief import fit_with_geometry
 from torchmat.fitting.recipes import AUTO, resolve_options
 from torchmat.fitting.scene.fit import fit_for_scene
@@ -56,12 +58,12 @@ class FitResult:
 
 def fit(
     btf: Btf,
-    model: str | Path | FitConfig = "phong_srf",
+    model: str | Path | FitConfig | Material = "phong_srf",
     *,
     holdout: float | None = None,
     holdout_by: str | None = None,
     seed: int | None = None,
-    geometry: str | Tensor | None = None,
+    geometry: Geometry | str | Path | Tensor | None = None,
     tiles: bool | None = None,
     error: float | None = None,
     psnr: float | None = None,
@@ -79,12 +81,14 @@ def fit(
 ) -> FitResult:
     """Fit a material to `btf` and measure it on samples that it never saw.
 
-    `model` is a name, a FitConfig, or the path of a TOML config. `holdout` is the share of samples held out (0.2),
+    `model` is a name, a FitConfig, the path of a TOML config, or a material: an instance of any Material, registered or
+    not, whose maps then descend from what they are by `solver` ("minibatch", "adam" or "lbfgs"), so many `steps` at
+    `rate`, those named in `keep` staying to the bit; a height and its ambient light stay as they are. `holdout` is the share of samples held out (0.2),
     `holdout_by` "pair", "light", "view" or "arc" (`split_samples`); both, `seed` (0), `geometry`, `tiles` and the model's
     `options` (named as in the README) override the config's. `geometry` "flat" (the default) takes texels for what they seem; "recover" finds
     height and normals from the training samples and puts the model on that relief, with parallax, shadow and ambient
-    light, if that makes it better; a height map [1, H, W] in texture widths over the plane of the images is taken as
-    it is. `tiles` False says that the surface does not repeat at its borders (True). `dtype` float64 runs the same code
+    light, if that makes it better; a height map [1, H, W] in texture widths over the plane of the images, or the path of one, is
+    taken as it is. `tiles` False says that the surface does not repeat at its borders (True). `dtype` float64 runs the same code
     in double precision. `measure` False leaves the errors out of the report, which takes most of the time of a
     closed-form fit. Deterministic for a seed.
 
@@ -97,27 +101,29 @@ def fit(
 
     Raises RangeError for unknown models or options, FitError when the data cannot determine the model.
     """
-    given_height = None if geometry is None or isinstance(geometry, str) else _as_height(geometry)
-    way = {"geometry": geometry} if isinstance(geometry, str) else {}
     given = {"holdout": holdout, "holdout_by": holdout_by, "seed": seed, "tiles": tiles, "tile": tile, "memory_mb": memory_mb}
     wanted = {"error": error, "psnr": psnr, "bytes": bytes, "seconds": seconds}
-    config = _resolve(model, given | way, wanted, options)
     if dtype not in (torch.float32, torch.float64):
         raise RangeError(message("fit", "dtype", "be torch.float32 or torch.float64", f"it is {dtype}"))
-    chosen = resolve_options(config.model, config.options)
+    if isinstance(model, Material):
+        others = {"geometry": geometry, "scene": scene, "tile": tile, "memory_mb": memory_mb, "work": work, **wanted}
+        _refuse_beside_a_material({**others, "seconds": None, "tiles": tiles})
+        task = _of_material(btf, model, options, given, seconds, dtype)
+    else:
+        task = _by_name(model, given, wanted, geometry, options, scene, work)
+    config = task.config
     split = split_samples(btf, config.holdout, config.holdout_by, config.seed)
-    use = None if scene is None else as_use(scene)  # found before the clock starts, as images are decoded before
     watch = Watch(config.target.get("seconds", math.inf), _held_out_error(btf, split) if curve else None)
     training = make_training(btf, split.train, config.seed, config.tiles, dtype, progress, watch)
     with torch.no_grad():
-        fitted = _fitted(training, config, chosen, config.geometry if given_height is None else given_height, use, work)
+        fitted = task.run(training)
         watch.note(lambda: fitted.material)
     seconds = watch.seconds
     errors, held_out = evaluate_parts(btf, fitted.material, split, progress) if measure else (dict.fromkeys(PARTS), None)
-    ways = {"options": _options_used(chosen, fitted), "geometry": config.geometry if given_height is None else "given"}
+    ways = {"options": _options_used(task.options, fitted), "geometry": task.geometry}
     report = {**_described(btf, config, fitted), **ways, "fit_seconds": seconds, **errors, "curve": watch.history}
-    if use is not None:
-        figures = scene_figures(btf, fitted.material, split, use, config.tiles, measure, progress)
+    if task.scene is not None:
+        figures = scene_figures(btf, fitted.material, split, task.scene, config.tiles, measure, progress)
         report["scene"] = {**fitted.figures["scene"], **figures}
     if work is not None:
         clear_work(work)
@@ -125,6 +131,54 @@ def fit(
         fitted.material, fitted.stop_reason, report, split, fitted.coverage, held_out.per_sample if held_out else None,
         fitted.relief, watch.history or fitted.history,
     )
+
+
+@dataclass(frozen=True)
+class _Task:
+    """What is to be fitted: `run` makes the fit; `config`, `options` and `geometry` (a word) are what the report says."""
+
+    config: FitConfig
+    options: dict[str, Any]
+    geometry: str
+    run: Callable[[Training], Fitted]
+    scene: SceneUse | None = None
+
+
+def _by_name(
+    model: str | Path | FitConfig, given: dict[str, Any], wanted: dict[str, Any], geometry: Any, options: dict[str, Any],
+    scene: Any, work: str | Path | None,
+) -> _Task:
+    """Return the task of a model that is named, or that a config names."""
+    way = {"geometry": geometry} if isinstance(geometry, str) else {}
+    config = _resolve(model, given | way, wanted, options)
+    chosen = resolve_options(config.model, config.options)
+    asked = config.geometry if geometry is None or isinstance(geometry, str) else geometry
+    surface = resolve_geometry(asked, by_itself=config.model == AUTO)
+    use = None if scene is None else as_use(scene)  # found before the clock starts, as images are decoded before
+    word = surface.word if isinstance(surface, Given) else config.geometry if isinstance(asked, str) else surface.word
+    return _Task(config, chosen, word, lambda training: _fitted(training, config, chosen, surface, use, work), use)
+
+
+def _of_material(
+    btf: Btf, material: Material, options: dict[str, Any], given: dict[str, Any], seconds: float | None, dtype: torch.dtype
+) -> _Task:
+    """Return the task of a material that is fitted on from its own maps."""
+    how = descent_of(btf, material, options)
+    if material.dtype != dtype:
+        step = f"Give dtype={material.dtype}, or convert the material with .to({dtype})."
+        raise RangeError(message("fit a material", "dtype", f"be {material.dtype} as its maps are", f"it is {dtype}", step))
+    known = {name: value for name, value in given.items() if value is not None and name in ("holdout", "holdout_by", "seed")}
+    config = FitConfig(tiles=material.tiles, target={} if seconds is None else {"seconds": seconds}, **known)
+    used = {**dataclasses.asdict(how), "keep": kept_names(material, how.keep)}
+    word = "given" if material.has_relief else "flat"
+    return _Task(config, used, word, lambda training: fit_from(training, material, how))
+
+
+def _refuse_beside_a_material(others: dict[str, Any]) -> None:
+    for name, value in others.items():
+        if value is not None:
+            fact, step = "a material is given, which has its own", "Leave it out, or name a model instead."
+            raise RangeError(message("fit", name, "be left out beside a material", fact, step))
 
 
 def _described(btf: Btf, config: FitConfig, fitted: Fitted) -> dict[str, Any]:
@@ -142,7 +196,7 @@ def _described(btf: Btf, config: FitConfig, fitted: Fitted) -> dict[str, Any]:
 
 
 def _fitted(
-    training: Training, config: FitConfig, options: dict[str, Any], geometry: str | Tensor, scene: SceneUse | None,
+    training: Training, config: FitConfig, options: dict[str, Any], geometry: Geometry, scene: SceneUse | None,
     work: str | Path | None,
 ) -> Fitted:
     """Return what the config asks for: a model, whole or tile by tile, or the choice among models; for a scene or all."""
@@ -164,19 +218,6 @@ def _held_out_error(btf: Btf, split: Split) -> Callable[[Material], float]:
     """Return the function that measures a material on some of the held-out samples."""
     rows = split.held_out if len(split.held_out) else split.train
     return lambda material: evaluate(material, btf, rows, _CURVE_SAMPLES, perceptual=False).report["relative_error"]
-
-
-def _as_height(geometry: Any) -> Tensor:
-    """Return a height map given as a tensor or array; raises RangeError for what is none."""
-    try:
-        height = torch.as_tensor(geometry)
-        if height.is_complex():
-            raise TypeError("complex numbers")
-        return height if height.is_floating_point() else height.double()
-    except (TypeError, ValueError, RuntimeError, NotImplementedError) as error:
-        step = "Give 'flat', 'recover', or a height map [1, H, W] in texture widths."
-        fact = f"it is {type(geometry).__name__}: {error}"
-        raise RangeError(message("fit", "geometry", "be a height map", fact, step)) from error
 
 
 def _resolve(

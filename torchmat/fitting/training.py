@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import torch
@@ -91,3 +91,7 @@ class Fitted:
     relief: Relief | None = None
     history: list[tuple[float, float]] = field(default_factory=list)
     shared: dict[str, Any] = field(default_factory=dict)
+
+    def with_material(self, material: Material) -> Fitted:
+        """Return the same findings with another material."""
+        return replace(self, material=material)

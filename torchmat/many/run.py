@@ -70,15 +70,14 @@ def fit_one(job: Job, pictures: bool = False) -> dict[str, Any]:
     """Fit one job in this process and write its result; return its row."""
     from torchmat.btf import load_btf
     from torchmat.fitting import fit
-    from torchmat.material_io import check_target, load_height
+    from torchmat.material_io import check_target
     from torchmat.report import write_fit
 
     start = time.perf_counter()
     try:
         check_target(job.out)
-        height = None if job.config.height_path is None else load_height(job.config.height_path)
         btf = load_btf(job.data, **job.reading, progress=False)
-        result = fit(btf, job.settled, geometry=height, progress=False)
+        result = fit(btf, job.settled, progress=False)
         write_fit(btf, result, job.out, pictures=pictures)
     except TorchmatError as error:
         return _row(job, FAILED, failed=str(error), seconds=time.perf_counter() - start)

@@ -69,14 +69,11 @@ def fit_by_tiles(
     What the tiles share is found here, each tile on a worker, which reads the data by its path. Finished tiles are kept
     in `work`, as `fit` keeps them. A worker that dies is replaced and its tile fitted again.
     """
-    from torchmat.material_io import load_height
-
     config = job.settled
     config = config if config.tile or config.memory_mb else replace(config, tile=USUAL_SIDE)
-    height = None if config.height_path is None else load_height(config.height_path)
     btf = load_btf(job.data, **job.reading, progress=show)
     with cluster(workers, scheduler) as client, tiles_fitted_by(_runner(client, job)):
-        return btf, fit(btf, config, geometry=height, work=work, progress=show)
+        return btf, fit(btf, config, work=work, progress=show)
 
 
 def _runner(client: Any, job: Job) -> Callable[[Training, TilePlan, Sequence[Window]], Iterable[TilePart]]:

@@ -1,5 +1,6 @@
 """Materials: maps plus a differentiable shade(light, view); the table of all of them."""
 
+from torchmat.errors import RangeError, message
 from torchmat.models.base import Material
 from torchmat.models.blend import blend
 from torchmat.models.compilation import can_compile, compiled
@@ -17,7 +18,17 @@ MATERIALS: dict[str, type[Material]] = {
     for model in (Texture, Lambert, Ptm, Lptm, Hsh, PhongSrf, Pca, LocalPca, Distribution, ShadingMap, SphereImages, Neural)
 }
 
+
+def register_material(kind: type[Material]) -> None:
+    """Add a material's class to the table by which folders are loaded; raises RangeError when its name is taken."""
+    if kind.name in MATERIALS:
+        step = "Give the class another name."
+        raise RangeError(message("register_material", "the model's name", "be new", f"{kind.name!r} is taken", step))
+    MATERIALS[kind.name] = kind
+
+
 __all__ = [
     "MATERIALS", "Distribution", "Hsh", "Lambert", "LocalPca", "Lptm", "Material", "Neural", "Pca", "PhongSrf", "Ptm",
-    "ShadingMap", "SphereImages", "Texture", "add_part", "blend", "can_compile", "compiled", "drop_part", "replace_map",
+    "ShadingMap", "SphereImages", "Texture", "add_part", "blend", "can_compile", "compiled", "drop_part", "register_material",
+    "replace_map",
 ]

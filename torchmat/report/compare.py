@@ -9,41 +9,50 @@ from typing import Any
 from torchmat import atomic
 from torchmat.btf import Btf, split_samples
 from torchmat.errors import RangeError, check_option, message
-from torchmat.fitting.on_relief import GEOMETRIES
-from torchmat.fitting.recipes import SOLVERS, resolve_options
+from torchmat.fitting.geometry import GEOMETRIES
+from torchmat.fitting.recipe import RECIPES, Recipe
+from torchmat.fitting.recipes import resolve_options
 from torchmat.progress import progress as progress_bar
 from torchmat.report.compare_plots import PLOTS, write_plots
 from torchmat.report.compare_rows import Entry, Setting, entry_of, judged, make_row, mark_fronts, parse_model
 from torchmat.report.html import comparison_page
 from torchmat.report.tables import COMPARE_COLUMNS, COMPARE_MEANINGS, to_json, write_csv
 
-__all__ = ["CLOSED_FORMS", "DEFAULT_MODELS", "check_target", "compare", "parse_model", "write_comparison"]
-
-CLOSED_FORMS = (
-    "texture", "lambert", "lptm", "ptm", "hsh:terms=4", "hsh:terms=9", "hsh:terms=16", "phong_srf",
-    "phong_srf:residual=half_light", "phong_srf:residual=quadratic", "phong_srf:base=ashikhmin_shirley",
-    "pca:components=8", "pca:components=16", "local_pca", "sphere_images", "shading_map",
-    "shading_map:brdf=ggx,azimuths=4",
-)
+__all__ = ["check_target", "closed_forms", "compare", "default_models", "parse_model", "write_comparison"]
 
 
-# Where no solver is the obvious one, all of them; the first is the model's own.
-_SOLVERS_DIFFER = ("phong_srf", "distribution")
-DEFAULT_MODELS = (
-    *CLOSED_FORMS, "distribution", "neural",
-    *(f"{model}:solver={solver}" for model in _SOLVERS_DIFFER for solver in SOLVERS[model][1:]),
-)
+def closed_forms() -> tuple[str, ...]:
+    """Return the rows of all registered models that are solved at once."""
+    return _rows(lambda recipe: not recipe.iterates)
+
+
+def default_models() -> tuple[str, ...]:
+    """Return the rows of a comparison of all registered models, those that go step by step last."""
+    further = (
+        f"{recipe.name}:solver={solver}" for recipe in RECIPES.values() if recipe.solvers_differ
+        for solver in recipe.all_solvers[1:]
+    )
+    return (*closed_forms(), *_rows(lambda recipe: recipe.iterates), *further)
+
+
+def _rows(wanted: Callable[[Recipe], bool]) -> tuple[str, ...]:
+    return tuple(
+        f"{recipe.name}:{options}" if options else recipe.name
+        for recipe in RECIPES.values() if wanted(recipe) for options in recipe.compared
+    )
+
+
 _FILES = ("comparison.json", "comparison.csv", "comparison.html", *(f"{name}.png" for name in PLOTS))
 
 
 def compare(
-    btf: Btf, models: Sequence[str] = DEFAULT_MODELS, *, budget: float | None = None, repeats: int = 1,
+    btf: Btf, models: Sequence[str] | None = None, *, budget: float | None = None, repeats: int = 1,
     geometry: str = "flat", curves: bool = True, holdout: float = 0.2, holdout_by: str = "pair", seed: int = 0,
     progress: bool | None = None, each: Callable[[list[dict[str, Any]]], Any] | None = None,
 ) -> list[dict[str, Any]]:
     """Fit each model on the same split; return a row each: error, bytes, seconds, memory, shading rate, full report.
 
-    A model is a name, or a name with options: ``"hsh:terms=9"``, ``"phong_srf:solver=adam"``,
+    None compares all registered models (`default_models`). A model is a name, or a name with options: ``"hsh:terms=9"``, ``"phong_srf:solver=adam"``,
     ``"lambert:geometry=recover"``; `geometry` is that of all whose text says nothing of it. `budget` is how many
     seconds an iterative solver may take, which then stops with the best it has. With `repeats` each model is fitted so
     often, on the same split from the same seed: seconds are the median, with their spread, and `same_bits` says whether
@@ -55,7 +64,7 @@ def compare(
     is hidden. What the columns mean stands in `report.tables.COMPARE_MEANINGS`. Raises RangeError, before any fit, for
     models that are unknown or given twice, and for a budget or repeats that leave nothing.
     """
-    entries = _entries(models, geometry)
+    entries = _entries(default_models() if models is None else models, geometry)
     if budget is not None and not budget > 0:
         step = "It is the seconds of one fit."
         raise RangeError(message("compare", "budget", "be positive", f"it is {budget}", step))

@@ -13,7 +13,7 @@ from torchmat.errors import FitError, RangeError, check_option, message
 from torchmat.fitting import FitResult, fit
 from torchmat.fitting.config import parse_value
 from torchmat.fitting.evaluate import evaluate, evaluate_parts
-from torchmat.fitting.on_relief import GEOMETRIES
+from torchmat.fitting.geometry import GEOMETRIES
 from torchmat.fitting.recipes import AUTO, resolve_options
 from torchmat.machine import MemoryMark
 from torchmat.report.tables import COMPARE_COLUMNS

@@ -10,7 +10,7 @@ from torch import Tensor
 from torchmat.fitting.choice.ladder import Rung, named
 from torchmat.fitting.choice.shrink import Shrunk
 from torchmat.fitting.on_relief import fit_on_relief
-from torchmat.fitting.recipes import FITTERS
+from torchmat.fitting.recipe import recipe_of
 from torchmat.fitting.training import Fitted, Training
 from torchmat.models import Material
 
@@ -41,7 +41,7 @@ class Option:
 
 def fit_flat_rung(training: Training, rung: Rung) -> Fitted:
     """Fit one candidate to a flat surface."""
-    fitted = FITTERS[rung.model](replace(training, progress=False), **rung.settings)
+    fitted = recipe_of(rung.model).run(replace(training, progress=False), **rung.settings)
     return replace(fitted, material=fitted.material.repeating(training.tiles))
 
 

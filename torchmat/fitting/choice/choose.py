@@ -1,7 +1,7 @@
 """The choice among models: the smallest material that is as true as wanted, or the best one within a budget.
 
 It climbs from cheap to dear: a constant, a texture, Lambert, Phong, residuals and polynomials, all in closed form; the
-same on a relief that is recovered once; then the distribution material, part by part. What is tried is measured, as its
+same on a relief that is recovered once; then what is built part by part, the distribution material. What is tried is measured, as its
 textures would bring it back, on training samples that no candidate was fitted to, and every decision is written down
 with its numbers. The material chosen is stored as small as the target allows (`shrink`).
 """
@@ -12,55 +12,56 @@ import dataclasses
 from dataclasses import replace
 from typing import Any
 
-from torch import Tensor
 
-from torchmat.errors import FitError, RangeError, check_option, message
+from torchmat.errors import FitError, RangeError, message
 from torchmat.fitting.choice.candidate import Option, fit_rung
 from torchmat.fitting.choice.climb import MARGIN, SPENT, Climb
 from torchmat.fitting.choice.decisions import gain_db
+from torchmat.fitting.choice.ladder import built_by_parts
 from torchmat.fitting.choice.shrink import Shrunk, total_bytes
-from torchmat.fitting.on_relief import check_given_height
+from torchmat.fitting.geometry import Geometry, Given, Recover, check_height
+from torchmat.fitting.recipe import recipe_of
 from torchmat.fitting.relief.recover import Recovery, recover_relief
 from torchmat.fitting.training import Fitted, Training
 from torchmat.fitting.wanted import Target
 from torchmat.metrics import psnr
-from torchmat.models import Distribution, Material
+from torchmat.models import Material
 
-AUTO_GEOMETRIES = ("auto", "recover", "flat")
 MET, NOT_MET, WITHIN = "target met", "target not met", "best within the budget"
 _RECOVERY = 10  # times the seconds of all flat candidates: what a recovery took at least on the data measured so far
 
 
-def fit_auto(training: Training, target: Target, geometry: str | Tensor) -> Fitted:
+def fit_auto(training: Training, target: Target, geometry: Geometry) -> Fitted:
     """Return the smallest material that meets the target, bytes that all texels share included.
 
     With `bytes` or `seconds` alone it is the best one within them. A target that nothing meets gives the nearest
     material and the stop reason "target not met". Samples kept back must be better than wanted by a margin of 5 % of
-    the error, 0.22 dB. `geometry` "auto" and "recover" leave the relief to the data, "flat" forbids it, a height map is
-    taken as it is. Closed forms are fitted again to all training samples once they are chosen; the distribution
-    material stays as it was fitted without those kept back. The report's figures say under "auto" what was tried, what
+    the error, 0.22 dB. A `geometry` of Recover leaves the relief to the data, Flat forbids it, a Given one is taken
+    as it is. Closed forms are fitted again to all training samples once they are chosen; what takes
+    steps stays as it was fitted without those kept back. The report's figures say under "auto" what was tried, what
     it brought, and why it was kept or left. Deterministic for a seed unless the `seconds` run out.
     Raises RangeError when nothing is wanted or fewer bytes than a constant takes, FitError when the seconds do not
     suffice for one.
     """
     _check_target(target, training)
-    given = check_given_height(geometry, training).to(training.dtype) if isinstance(geometry, Tensor) else None
-    if given is None:
-        check_option("fit auto", "geometry", geometry, AUTO_GEOMETRIES)
+    given = check_height(geometry.height, training.btf).to(training.dtype) if isinstance(geometry, Given) else None
     climb = Climb(training, target)
     if given is not None:
         climb.relief(given)
         _check_seconds(climb)
-        if _goes_on(climb, "distribution"):
-            climb.distribution(given)
+        for recipe in built_by_parts():
+            if _goes_on(climb, recipe.name):
+                climb.by_parts(recipe, given)
         return _delivered(climb, None)
     climb.flat()
     _check_seconds(climb)
-    recovery = _recovered(climb) if geometry != "flat" and _goes_on(climb, "relief") else None
+    recovery = _recovered(climb) if isinstance(geometry, Recover) and _goes_on(climb, "relief") else None
     if recovery is not None and _goes_on(climb, "the closed forms on a relief"):
         climb.relief(recovery.relief.height)
-    if _goes_on(climb, "distribution"):
-        climb.distribution(recovery.relief.height if recovery is not None and _relief_helps(climb) else None)
+    for recipe in built_by_parts():
+        if _goes_on(climb, recipe.name):
+            helps = recovery is not None and _relief_helps(climb, recipe.name)
+            climb.by_parts(recipe, recovery.relief.height if helps else None)
     return _delivered(climb, recovery)
 
 
@@ -112,12 +113,12 @@ def _recovered(climb: Climb) -> Recovery | None:
     return recovery
 
 
-def _relief_helps(climb: Climb) -> bool:
+def _relief_helps(climb: Climb, model: str) -> bool:
     """Return whether the truest of the closed forms stands on the relief."""
     truest = min(climb.options, key=lambda option: option.cost)
     helps = truest.height is not None
     if not helps:
-        climb.log.skip("distribution on relief", f"{truest.name} is truer than anything on the relief")
+        climb.log.skip(f"{model} on relief", f"{truest.name} is truer than anything on the relief")
     return helps
 
 
@@ -129,7 +130,7 @@ def _delivered(climb: Climb, recovery: Recovery | None) -> Fitted:
         in_time = too_large or not climb.watch.spent
         best = climb.shrunk(best) if in_time else replace(best, shrunk=Shrunk(best.material, best.cost))
     fitted, material = best.fitted, best.material
-    if best.rung.model != Distribution.name and not climb.watch.spent:
+    if not recipe_of(best.rung.model).iterates and not climb.watch.spent:
         fitted = fit_rung(climb.knowing(climb.training, best), best.rung, best.height)
         material = fitted.material.stored_at(material.stored)
     relief = recovery.relief if recovery is not None and best.height is not None else None

@@ -10,16 +10,15 @@ from torch import Tensor
 
 from torchmat.fitting.choice.candidate import Option, fit_flat_rung
 from torchmat.fitting.choice.decisions import Decisions, gain_db
-from torchmat.fitting.choice.distribution_parts import PartsClimb
 from torchmat.fitting.choice.examine import Examiner, Measured, keep_back, of_some_texels, wanted_cost
-from torchmat.fitting.choice.ladder import CLOSED_FORMS, RELIEF_BYTES, Rung, named
+from torchmat.fitting.choice.ladder import RELIEF_BYTES, closed_forms, named
+from torchmat.fitting.choice.parts import PartsClimb
 from torchmat.fitting.choice.shrink import shrink, total_bytes
-from torchmat.fitting.models.linear import fit_lambert_on_relief
+from torchmat.fitting.recipe import Recipe, Rung, recipe_of
 from torchmat.fitting.relief.surface import ambient, bring_onto, without_shadow
 from torchmat.fitting.training import Fitted, Training
 from torchmat.fitting.wanted import Target
-from torchmat.models import Distribution, Material
-from torchmat.models.edit import without_idle_parts
+from torchmat.models import Material
 from torchmat.progress import working
 
 SPENT = "the seconds are spent"
@@ -62,7 +61,7 @@ class Climb:
         A texel's maps depend on that texel alone, so some say nearly all there is to say.
         """
         fits: dict[tuple, Fitted] = {}
-        for rung in CLOSED_FORMS:
+        for rung in closed_forms():
             if self._cannot_pay(rung):
                 continue
             start, key = self.watch.seconds, (rung.model, *sorted(rung.options.items()))
@@ -74,15 +73,16 @@ class Climb:
     def relief(self, height: Tensor) -> None:
         """Try the closed forms on a relief, all on samples that are brought onto it once."""
         surface, bare, shadowed = bring_onto(replace(self.part, progress=False), height), None, None
-        # Lambert comes first: the others need samples without shadow, which take the place of those with it.
-        rungs = sorted((rung for rung in CLOSED_FORMS if not rung.stored), key=lambda rung: rung.model != "lambert")
+        # What fits shadow itself comes first: the others need samples without it, which take the place of those with it.
+        rungs = sorted((rung for rung in closed_forms() if not rung.stored), key=lambda rung: recipe_of(rung.model).on_relief is None)
         for rung in rungs:
             if self._cannot_pay(rung, height):
                 continue
             start = self.watch.seconds
             with working(f"trying {named(rung, height)}", self.training.progress):
-                if rung.model == "lambert":
-                    fitted = fit_lambert_on_relief(surface, height, storage="png8")
+                own = recipe_of(rung.model).on_relief
+                if own is not None:
+                    fitted = own(surface, height, **rung.settings)
                 else:
                     if bare is None:
                         shadowed = ambient(surface)
@@ -91,9 +91,9 @@ class Climb:
                     fitted = replace(fitted, material=fitted.material.on_relief(height, shadowed))
             self._consider(rung, fitted, start, height)
 
-    def distribution(self, height: Tensor | None) -> None:
-        """Try the distribution material: part by part in short fits, then a whole fit of what pays."""
-        parts = PartsClimb(self, height)
+    def by_parts(self, recipe: Recipe, height: Tensor | None) -> None:
+        """Try a material that is built part by part in short fits, then a whole fit of what pays."""
+        parts = PartsClimb(self, recipe, height)
         rung = parts.choose()
         if self.watch.spent:
             self.log.skip(f"the whole fit of {named(rung, height)}", SPENT)
@@ -183,11 +183,11 @@ class Climb:
         rival = self.bytes_of(self.best) if self.met else math.inf
         found = shrink(option.material, self.cost_of, self.limit, self.most_bytes, rival, self.as_it_is)
         option = replace(option, material=found.material, cost=found.cost, shrunk=found)
-        return self._without_idle_parts(option) if isinstance(found.material, Distribution) else option
+        return option if recipe_of(option.rung.model).ladder is None else self._without_idle_parts(option)
 
     def _without_idle_parts(self, option: Option) -> Option:
         """Leave out the parts that shrinking made one number, if that costs nothing that matters."""
-        bare = without_idle_parts(option.material)
+        bare = recipe_of(option.rung.model).ladder.without_idle_parts(option.material)
         if bare.maps.keys() == option.material.maps.keys():
             return option
         cost = self.cost_of(bare)

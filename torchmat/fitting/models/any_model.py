@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -33,13 +33,25 @@ def fit_by_descent(
 ) -> Fitted:
     """Fit the model of the function `fit` by `solver`, from what `fit` makes of two dozen samples.
 
-    `rate`, `steps` and `tolerance` are the solver's own; None leaves them to the solver. Deterministic: sums over all
-    samples are made with one thread.
+    `rate`, `steps` and `tolerance` are the solver's own; None leaves them to the solver.
     """
     with one_thread():
         begun = _start(training, fit, options)
+    return descend(training, begun, solver, rate=rate, steps=steps, tolerance=tolerance)
+
+
+def descend(
+    training: Training, begun: Fitted, solver: str, *, keep: Sequence[str] = (), rate: float | None = None,
+    steps: int | None = None, tolerance: float | None = None,
+) -> Fitted:
+    """Fit the maps of a flat material by `solver`, from what they are; those named in `keep` stay to the bit.
+
+    `begun` is the start, with what it says that all texels share. Deterministic: sums over all samples are made with
+    one thread.
+    """
+    with one_thread():
         shared = [spec.name for spec in begun.material.own_specs() if spec.constant or not spec.per_texel]
-        unknowns = Unbounded(begun.material, shared if training.shared else ())
+        unknowns = Unbounded(begun.material, (*keep, *(shared if training.shared else ())))
         run = functools.partial(_RUNS[solver], training, unknowns)
         settings = {"rate": rate or _RATES.get(solver), "steps": _STEPS[solver] if steps is None else steps, "tolerance": tolerance}
         found = run(**{name: value for name, value in settings.items() if value is not None})

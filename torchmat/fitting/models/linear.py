@@ -8,12 +8,14 @@ from torch import Tensor
 from torchmat import colour, safe
 from torchmat.errors import RangeError, check_option, message
 from torchmat.fitting.models.streamed import LinearFit, Moments, solve_texels, stream_moments
+from torchmat.fitting.recipe import Recipe, Rung
 from torchmat.fitting.relief.surface import Surface
 from torchmat.fitting.training import Fitted, Training
 from torchmat.geometry import normals_from_slopes
 from torchmat.models import Hsh, Lambert, Lptm, Ptm, Texture
 from torchmat.models.bases import BASES
 from torchmat.models.linear import HSH_TERMS, NORMALS
+from torchmat.models.storage import StoredAs
 from torchmat.repeatable import one_thread, product
 from torchmat.solvers.least_squares import Design, make_design
 
@@ -167,3 +169,15 @@ def _albedo(training: Training, normal: Tensor) -> Tensor:
         denominator += (weighted * shading).sum(dim=0)
         numerator += block.images.flatten(2).mul_(weighted[:, None]).sum(dim=0)
     return safe.divide(numerator, denominator).unflatten(1, normal.shape[1:])
+
+
+TEXTURE = Recipe(Texture, fit_texture, rungs=(
+    Rung("constant", "texture", 0, {}, {"albedo": StoredAs((1, 1))}), Rung("texture", "texture", 3),
+))
+LAMBERT = Recipe(Lambert, fit_lambert, on_relief=fit_lambert_on_relief, rungs=(Rung("Lambert", "lambert", 6),))
+PTM = Recipe(Ptm, fit_ptm, rungs=(Rung("PTM", "ptm", 18),))
+LPTM = Recipe(Lptm, fit_lptm, rungs=(Rung("luminance PTM", "lptm", 9),))
+HSH = Recipe(
+    Hsh, fit_hsh, compared=tuple(f"terms={terms}" for terms in HSH_TERMS),
+    rungs=(Rung("4 harmonics", "hsh", 12, {"terms": 4}), Rung("9 harmonics", "hsh", 27, {"terms": 9})),
+)

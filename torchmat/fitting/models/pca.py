@@ -10,6 +10,7 @@ from torch import Tensor
 
 from torchmat import safe
 from torchmat.errors import FitError, RangeError, message
+from torchmat.fitting.recipe import Recipe, Tiling
 from torchmat.fitting.training import Fitted, Training
 from torchmat.models import LocalPca, Pca
 from torchmat.models.angular import projected
@@ -310,3 +311,9 @@ def _lloyd(points: Tensor, label: Tensor, clusters: int, components: int) -> tup
             break
         label = nearest
     return label, float(distance.gather(0, label[None]).sum()), means, bases
+
+
+# Their tables hold a number for each measured sample: a start that has them all is a factorisation, the answer itself.
+# Images that are few are decoded once and kept.
+PCA = Recipe(Pca, fit_pca, descends=False, compared=("components=8", "components=16"), tiling=Tiling(kept_mb=260.0))
+LOCAL_PCA = Recipe(LocalPca, fit_local_pca, descends=False, tiling=Tiling(kept_mb=260.0))

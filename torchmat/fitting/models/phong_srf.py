@@ -11,11 +11,13 @@ from torchmat.errors import FitError, RangeError, check_option, message
 from torchmat.fitting.models.linear import design_of
 from torchmat.fitting.models.lobe import LobeProblem, by_differences, fit_lobe, lobe_limits
 from torchmat.fitting.models.streamed import Moments, solve_texels, stream_means, stream_moments
+from torchmat.fitting.recipe import Recipe, Rung
 from torchmat.fitting.training import Fitted, Training
 from torchmat.metrics import relative
 from torchmat.models import PhongSrf
 from torchmat.models.lobes import LOBES, Lobe
 from torchmat.models.phong_srf import RESIDUALS
+from torchmat.models.storage import StoredAs
 from torchmat.repeatable import one_thread
 from torchmat.solvers.least_squares import Design
 from torchmat.solvers.levenberg_marquardt import Solution, levenberg_marquardt
@@ -184,3 +186,14 @@ def _overall(solution: Solution) -> str:
     """One reason for a batch: converged only if every problem did."""
     others = [reason for reason in solution.reasons if reason != CONVERGED]
     return others[0] if others else CONVERGED
+
+
+PHONG_SRF = Recipe(
+    PhongSrf, fit_phong_srf, solvers=("lm", "varpro"), solvers_differ=True,
+    compared=("", "residual=half_light", "residual=quadratic", "base=ashikhmin_shirley"), rungs=(
+        Rung("Phong", "phong_srf", 0, {"residual": "cosine"}, {"residual": StoredAs((1, 1))}),
+        Rung("Phong + texture", "phong_srf", 3, {"residual": "cosine"}),
+        Rung("Phong + residual of the half vector", "phong_srf", 9, {"residual": "half"}),
+        Rung("Phong + residual of half vector and light", "phong_srf", 21, {"residual": "half_light"}),
+    ),
+)

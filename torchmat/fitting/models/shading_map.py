@@ -13,6 +13,7 @@ from torchmat.brdf.lobe import Lobe
 from torchmat.errors import FitError, check_option, message
 from torchmat.fitting.models.lobe import by_differences, fit_lobe, lobe_limits
 from torchmat.fitting.models.streamed import solve_texels, stream_means, stream_moments
+from torchmat.fitting.recipe import Recipe
 from torchmat.fitting.training import Fitted, Training
 from torchmat.metrics import relative
 from torchmat.models import ShadingMap
@@ -239,3 +240,7 @@ def _curves(training: Training, rows: Tensor, means: Tensor) -> Tensor:
         return found
     _, vectors = torch.linalg.eigh(found.T @ found)
     return found @ vectors[:, -_CURVES:]
+
+
+# Slices are sorted by the brightness that the BRDF gives: moving it deals the samples out anew, which has no slope.
+SHADING_MAP = Recipe(ShadingMap, fit_shading_map, descends=False, compared=("", "brdf=ggx,azimuths=4"))

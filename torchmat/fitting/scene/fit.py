@@ -13,6 +13,7 @@ from torch import Tensor
 from torchmat.errors import RangeError, message
 from torchmat.fitting.config import FitConfig
 from torchmat.fitting.fewer_texels import averaged
+from torchmat.fitting.geometry import Flat, Geometry, Given, Recover
 from torchmat.fitting.on_relief import fit_with_geometry
 from torchmat.fitting.recipes import AUTO
 from torchmat.fitting.training import Fitted, Training
@@ -43,7 +44,7 @@ class Choice:
 
 
 def fit_for_scene(
-    training: Training, config: FitConfig, options: dict[str, Any], geometry: str | Tensor, use: SceneUse,
+    training: Training, config: FitConfig, options: dict[str, Any], geometry: Geometry, use: SceneUse,
     work: str | Path | None = None,
 ) -> Fitted:
     """Fit a model to what a scene uses of the training samples.
@@ -62,7 +63,7 @@ def fit_for_scene(
     choice = choose(training, use, geometry)
     part = _training_of(training, choice)
     share = len(choice.rows) / max(1, int(training.used.sum()))
-    recovered_from = _for_recovery(training, choice) if isinstance(geometry, str) and geometry == "recover" else None
+    recovered_from = _for_recovery(training, choice) if isinstance(geometry, Recover) else None
     fitted = fit_with_geometry(part, config.model, _lighter(options, share), geometry, recovered_from)
     btf, size = training.btf, (part.btf.height, part.btf.width)
     cutout = Cutout(*(choice.window or (0, 0, btf.height, btf.width)), btf.height, btf.width, training.tiles)
@@ -83,7 +84,7 @@ def _check_together(config: FitConfig, work: str | Path | None) -> None:
         raise RangeError(message("fit", "scene", "name its model and come without tiles", fact, step))
 
 
-def choose(training: Training, use: SceneUse, geometry: str | Tensor) -> Choice:
+def choose(training: Training, use: SceneUse, geometry: Geometry) -> Choice:
     """Return which samples and texels a fit for a scene needs, and what they count."""
     btf = training.btf
     rows = training.used.nonzero()[:, 0]
@@ -96,9 +97,9 @@ def choose(training: Training, use: SceneUse, geometry: str | Tensor) -> Choice:
     frontal = btf.view_index[rows] == int(btf.view_index[rows].min())
     count = weight + _BASE * kept / kept.sum() + _FRONTAL * frontal / frontal.sum()
     kept |= frontal
-    given = isinstance(geometry, Tensor)
+    given = isinstance(geometry, Given)
     level = 0 if given else use.level(btf.height, btf.width)
-    window = use.window(btf.height, btf.width, training.tiles) if not given and geometry == "flat" else None
+    window = use.window(btf.height, btf.width, training.tiles) if isinstance(geometry, Flat) else None
     return Choice(rows[kept], count[kept] / count[kept].mean(), window, level, outside)
 
 

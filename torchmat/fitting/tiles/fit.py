@@ -16,7 +16,8 @@ from typing import Any
 
 from torch import Tensor
 
-from torchmat.fitting.models.distribution.parameters import to_one
+from torchmat.fitting.geometry import Geometry
+from torchmat.fitting.recipe import recipe_of
 from torchmat.fitting.relief.window import Window
 from torchmat.fitting.tiles.plan import TilePart, TilePlan, fit_part, plan_tiles
 from torchmat.fitting.tiles.work import Work, open_work
@@ -50,8 +51,9 @@ def join_tiles(plan: TilePlan, parts: Iterable[TilePart]) -> Fitted:
     coverage = maps.pop("coverage", None)
     if plan.height is not None:
         maps["height"] = plan.height
-    if plan.model == "distribution":
-        maps |= to_one({**plan.template.maps, **maps})
+    join = recipe_of(plan.model).tiling.join
+    if join is not None:
+        maps |= join({**plan.template.maps, **maps})
     figures = {**plan.figures, "tiles": {**plan.figures["tiles"], "count": count}}
     material = plan.template.with_maps(**{name: value.detach() for name, value in maps.items()})
     return Fitted(material, _overall(reasons), coverage, figures, plan.relief)
@@ -66,7 +68,7 @@ def _overall(reasons: set[str]) -> str:
 
 
 def fit_tiled(
-    training: Training, model: str, options: dict[str, Any], geometry: str | Tensor, tile: int, memory_mb: float,
+    training: Training, model: str, options: dict[str, Any], geometry: Geometry, tile: int, memory_mb: float,
     work: str | Path | None,
 ) -> Fitted:
     """Fit a model tile by tile; with `work`, go on where an earlier run of the same fit was stopped.

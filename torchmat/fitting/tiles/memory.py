@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 from torchmat.errors import RangeError, message
+from torchmat.fitting.recipe import recipe_of
 from torchmat.fitting.training import Training
 from torchmat.models import Material
 
@@ -16,24 +17,22 @@ _MB = 1e6
 # pages of the mapped images.
 _PROGRAM_MB = 420.0  # Python, torch and the libraries of one fit
 _BLOCKS_MB = 180.0  # a decoded block, its codes, and one more of each where samples have weights
-_WORK_BYTES = {"distribution": 24_000}  # a texel of a tile, apart from its samples
-_USUAL_WORK_BYTES = 9_000
 _RECOVERY_MB = 1200.0  # to recover a relief, most of it to compare images of 96 x 96, whatever their own size
-_KEPT_MB = {"pca": 260.0, "local_pca": 260.0}  # images that are decoded once where they are few
 
 
 def _texel_bytes(training: Training, model: str, relief: bool) -> float:
     """Return the bytes that one texel of a tile takes while it is fitted."""
     wide = training.dtype.itemsize / 4
-    samples = int(training.used.sum()) if relief or model == "distribution" else 0
-    return wide * _WORK_BYTES.get(model, _USUAL_WORK_BYTES) + samples * (12 * wide + 1)
+    tiling = recipe_of(model).tiling
+    samples = int(training.used.sum()) if relief or tiling.holds_samples else 0
+    return wide * tiling.bytes_per_texel + samples * (12 * wide + 1)
 
 
 def _fixed_mb(training: Training, model: str, relief: bool) -> float:
     wide = training.dtype.itemsize / 4
     btf = training.btf
     seen = (len(btf.lights) * 4 * wide + len(btf.views)) * btf.height * btf.width / _MB if relief else 0.0
-    return _PROGRAM_MB + _BLOCKS_MB * wide + _KEPT_MB.get(model, 0.0) * wide + seen
+    return _PROGRAM_MB + _BLOCKS_MB * wide + recipe_of(model).tiling.kept_mb * wide + seen
 
 
 def _joined_mb(material: Material, training: Training) -> float:

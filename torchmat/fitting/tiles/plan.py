@@ -10,11 +10,12 @@ import torch.nn.functional as functional
 from torch import Tensor
 
 from torchmat.btf import Btf
-from torchmat.errors import RangeError, check_option, message
+from torchmat.errors import RangeError, message
 from torchmat.fitting.fewer_texels import averaged
+from torchmat.fitting.geometry import Flat, Geometry, Given, check_height
 from torchmat.fitting.models.any_model import DESCENTS
-from torchmat.fitting.on_relief import GEOMETRIES, check_given_height, compare_with_flat, fit_flat, fit_on_relief
-from torchmat.fitting.recipes import SOLVERS
+from torchmat.fitting.on_relief import compare_with_flat, fit_flat, fit_on_relief
+from torchmat.fitting.recipe import recipe_of
 from torchmat.fitting.relief.recover import recover_relief
 from torchmat.fitting.relief.surface import Sight, look_along
 from torchmat.fitting.relief.window import Window
@@ -24,10 +25,8 @@ from torchmat.geometry import Relief
 from torchmat.models import Material
 from torchmat.solvers.clock import Watch
 
-NOT_TILED = ("neural",)  # its network is fitted to all texels, some at a time, as it is
-# What all texels share is found on at most so many, of every so-manieth row and column. Odd steps meet every part of a
+# What all texels share is found on every so-manieth row and column. Odd steps meet every part of a
 # pattern that repeats after a power of two.
-_SHARING, _SHARING_DISTRIBUTION = 16384, 4096
 _STEPS = (1, 3, 5, 7, 11, 13, 17, 23, 31, 41, 61, 83, 127, 255, 511, 1023, 2047, 4095)
 _COMPARED, _COMPARED_SAMPLES = 96, 600  # texels along the longer side, and images, that flat and relief are compared on
 _PLANNING = 0.25  # of the seconds that a fit may take
@@ -91,30 +90,32 @@ def fit_part(
 
 
 def plan_tiles(
-    training: Training, model: str, options: dict[str, Any], geometry: str | Tensor, tile: int, memory_mb: float
+    training: Training, model: str, options: dict[str, Any], geometry: Geometry, tile: int, memory_mb: float
 ) -> TilePlan:
     """Find what all texels share on an even choice of them, and how large tiles may be.
 
     `tile` is their side, 0 as large as `memory_mb` allows; with `memory_mb` 0 memory is no concern. Raises RangeError
     when that memory is too little, and for models that are not fitted by tiles.
     """
-    if model in NOT_TILED:
-        step = "Leave tile, memory_mb and work out: it holds only some of the images and texels at a time."
-        raise RangeError(message("fit", "tiles", "suit the model", f"{model} has one network for all texels", step))
-    if options.get("solver") in DESCENTS and options["solver"] != SOLVERS[model][0]:
-        step = f"Leave it out: tiles take {SOLVERS[model][0]}."
+    recipe = recipe_of(model)
+    if recipe.tiling.refused is not None:
+        fact, step = recipe.tiling.refused
+        raise RangeError(message("fit", "tiles", "suit the model", f"{model} {fact}", step))
+    usual = recipe.all_solvers[0]
+    if options.get("solver") in DESCENTS and options["solver"] != usual:
+        step = f"Leave it out: tiles take {usual}."
         fact = f"it is {options['solver']!r}, which fits what all texels share along with them"
         raise RangeError(message("fit", "solver", "suit tiles", fact, step))
     btf = training.btf
     own = replace(training, watch=Watch(training.watch.limit * _PLANNING))
     height, relief, found = _height(own, model, options, geometry, memory_mb)
     most = most_texels(training, model, height is not None, memory_mb)
-    step = _step(btf, min(most, _SHARING_DISTRIBUTION if model == "distribution" else _SHARING))
+    step = _step(btf, min(most, recipe.tiling.sharing_texels))
     some = Window(0, 0, btf.height, btf.width, step)
     sight = None if height is None else look_along(own, height)
     fitted = fit_part(own, model, options, height, some, sight)
-    if model == "distribution":
-        options, fitted = _decided(options, fitted)
+    if recipe.tiling.settle is not None:
+        options, fitted = recipe.tiling.settle(options, fitted)
     side = choose_side(training, model, fitted.material, height is not None, tile, memory_mb)
     texels = -(-btf.height // step) * -(-btf.width // step)
     figures = {**fitted.figures, **found, "tiles": {"side": side, "texels_for_what_is_shared": texels}}
@@ -132,23 +133,13 @@ def _step(btf: Btf, most: int) -> int:
     return _STEPS[-1]
 
 
-def _decided(options: dict[str, Any], fitted: Fitted) -> tuple[dict[str, Any], Fitted]:
-    """Return options that leave nothing to decide, and the fit with specular maps of the scale that tiles take."""
-    parts, lobes = fitted.figures["parts"], fitted.figures["lobes"]
-    chosen = {part: "yes" if part in parts else "no" for part in ("fresnel", "rotation", "tilt")}
-    if lobes:
-        fitted = replace(fitted, material=fitted.material.with_maps(specular=fitted.shared["specular"].exp()))
-    return {**options, "lobes": lobes, **chosen}, fitted
-
-
 def _height(
-    training: Training, model: str, options: dict[str, Any], geometry: str | Tensor, memory_mb: float
+    training: Training, model: str, options: dict[str, Any], geometry: Geometry, memory_mb: float
 ) -> tuple[Tensor | None, Relief | None, dict[str, Any]]:
     """Return height and relief as the geometry asks for, None for a flat surface, and figures."""
-    if isinstance(geometry, Tensor):
-        return check_given_height(geometry, training).to(training.dtype), None, {}
-    check_option("fit", "geometry", geometry, GEOMETRIES)
-    if geometry == "flat":
+    if isinstance(geometry, Given):
+        return check_height(geometry.height, training.btf).to(training.dtype), None, {}
+    if isinstance(geometry, Flat):
         return None, None, {}
     require_recovery(memory_mb)
     relief, figures = recover_relief(training)

@@ -17,6 +17,7 @@ from torch import Tensor
 
 from torchmat.atomic import building_file, refuse_foreign
 from torchmat.errors import DataError, message
+from torchmat.fitting.geometry import Geometry, Given
 from torchmat.fitting.relief.window import Window
 from torchmat.fitting.tiles.plan import TilePart, TilePlan
 from torchmat.fitting.training import Training
@@ -67,7 +68,7 @@ class Work:
 
 
 def open_work(
-    path: str | Path, training: Training, model: str, options: dict[str, Any], geometry: str | Tensor, tile: int,
+    path: str | Path, training: Training, model: str, options: dict[str, Any], geometry: Geometry, tile: int,
     memory_mb: float,
 ) -> Work:
     """Open the folder of a fit, or make it; raises DataError for a folder of another fit, or of anything else."""
@@ -99,20 +100,20 @@ def clear_work(path: str | Path) -> None:
 
 
 def fit_key(
-    training: Training, model: str, options: dict[str, Any], geometry: str | Tensor, tile: int, memory_mb: float
+    training: Training, model: str, options: dict[str, Any], geometry: Geometry, tile: int, memory_mb: float
 ) -> str:
     """Return a text that differs for fits whose tiles may differ: config, data and versions."""
     digest = hashlib.sha256()
     found = versions()
     told = [
         _FORMAT, {name: found[name] for name in ("torchmat", "torch")}, model, sorted(options.items()), tile, memory_mb,
-        training.seed, training.tiles, str(training.dtype), geometry if isinstance(geometry, str) else "given",
+        training.seed, training.tiles, str(training.dtype), geometry.word,
         training.btf.identity(),
     ]
     digest.update(json.dumps(told).encode())
     digest.update(training.used.numpy().tobytes())
-    for values in (training.importance, geometry):
-        if isinstance(values, Tensor):
+    for values in (training.importance, geometry.height if isinstance(geometry, Given) else None):
+        if values is not None:
             digest.update(values.detach().double().contiguous().numpy().tobytes())
     return digest.hexdigest()
 

@@ -15,6 +15,7 @@ from torchmat.errors import RangeError, check_option, message
 from torchmat.fitting.models.lobe import fit_lobe
 from torchmat.fitting.models.spheres.problem import Shape, SphereProblem
 from torchmat.fitting.models.streamed import stream_means
+from torchmat.fitting.recipe import Recipe
 from torchmat.fitting.training import Fitted, Training
 from torchmat.models.sphere_images import PAPER_ANGLES_DEG, SphereImages, below_each_other, paper_turn, render_spheres
 from torchmat.repeatable import add_product
@@ -102,3 +103,6 @@ def _tint(training: Training, material: SphereImages) -> tuple[Tensor, Tensor]:
     tint = torch.where(seen, safe.divide(above, below).clamp(min=0), torch.ones((), dtype=dtype))
     shape = (btf.height, btf.width)
     return tint.unflatten(1, shape), seen.any(dim=0).to(torch.float32).reshape(1, *shape)
+
+
+SPHERE_IMAGES = Recipe(SphereImages, fit_sphere_images_to_btf)

@@ -1,4 +1,4 @@
-"""The parts of the distribution material in the automatic choice: short fits say which of them pay.
+"""A material built part by part in the automatic choice: short fits say which parts pay.
 
 Parts depend on each other, so no one order of trying is right for all data: what was nearly worth having when it was
 tried is tried again beside what was kept after it, and what was hardly worth having may go again.
@@ -13,9 +13,9 @@ import torch
 from torch import Tensor
 
 from torchmat.fitting.choice.candidate import Option, fit_rung
-from torchmat.fitting.choice.ladder import Part, Rung, bare_distribution, distribution_parts, distribution_rung, named
+from torchmat.fitting.choice.ladder import named, rung_of_parts
 from torchmat.fitting.choice.shrink import total_bytes
-from torchmat.fitting.models.distribution.fit import fit_distribution_on_relief
+from torchmat.fitting.recipe import Part, Recipe, Rung
 from torchmat.fitting.relief.surface import Surface, bring_onto
 from torchmat.fitting.relief.window import Window
 from torchmat.fitting.training import Fitted, Training
@@ -43,8 +43,8 @@ class PartsClimb:
     The height stays where it is: moving it takes half the time of a short fit, and a whole fit does so.
     """
 
-    def __init__(self, climb: Climb, height: Tensor | None) -> None:
-        self.climb, self.height = climb, height
+    def __init__(self, climb: Climb, recipe: Recipe, height: Tensor | None) -> None:
+        self.climb, self.recipe, self.height = climb, recipe, height
         self.surface = _surface(replace(climb.part, progress=False), height)
         self.kept: list[_Tried] = []
         self.best = self.pilot((), None, "")
@@ -66,36 +66,29 @@ class PartsClimb:
 
     def rung(self, parts: tuple[Part, ...], **more: float) -> Rung:
         """Return the material with these parts, which are named in the order of the ladder."""
-        options = {**bare_distribution(), **more}
-        parts = tuple(part for part in distribution_parts() if part in parts)
+        options = {**self.recipe.ladder.bare, **more}
+        parts = tuple(part for part in self.recipe.ladder.parts if part in parts)
         for part in parts:
             options |= part.options
-        return distribution_rung(options, tuple(part.name for part in parts))
+        return rung_of_parts(self.recipe, options, tuple(part.name for part in parts))
 
     def pilot(self, parts: tuple[Part, ...], before: Option | None, by: str, fewer: bool = False) -> Option:
         """Fit for a short time; note what that brings against `before`, which has a part less or, `fewer`, one more."""
         start, rung = self.climb.watch.seconds, self.rung(parts, effort=_EFFORT)
         with working(f"trying {named(rung, self.height)}", self.climb.training.progress):
-            fitted = fit_distribution_on_relief(self.surface, self.height, **rung.settings)
+            fitted = self.recipe.on_relief(self.surface, self.height, **rung.settings)
         return self.climb.tried_shortly(rung, fitted, self.height, start, before, by, fewer)
 
     def whole(self, rung: Rung) -> Fitted:
         """Return the whole fit of a rung, on a relief with the height moving."""
         if self.height is not None:
             return fit_rung(self.climb.part, rung, self.height)
-        return fit_distribution_on_relief(self.surface, None, **rung.settings)
+        return self.recipe.on_relief(self.surface, None, **rung.settings)
 
     def _too_large(self, part: Part) -> bool:
         material = self.best.fitted.material
-        more = part.bytes + max(0, part.lobes - self._lobes) * self._table
+        more = part.bytes + max(0, part.lobes - self._lobes) * self.recipe.ladder.bytes_of_lobe(material)
         return self.climb.too_large(named(self.rung((*self._parts, part)), self.height), total_bytes(material) + more)
-
-    @property
-    def _table(self) -> float:
-        """Bytes a texel of one specular map."""
-        material = self.best.fitted.material
-        sizes = {spec.name: material.bytes_of(spec) for spec in material.specs()}
-        return sizes["specular"] / material.options["lobes"] / material.texels
 
     def _try(self, part: Part) -> float:
         """Try one more part, keep it if it pays, and return what it gained."""
@@ -109,7 +102,7 @@ class PartsClimb:
     def _forward(self) -> list[_Tried]:
         """Try each part in order, and return what was left."""
         left: list[_Tried] = []
-        for part in distribution_parts():
+        for part in self.recipe.ladder.parts:
             if self.climb.watch.spent:
                 break
             after = len(self.kept)

@@ -1,0 +1,45 @@
+"""What mechanism needs to know of the distribution material's fit."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from torchmat.fitting.models.distribution.fit import fit_distribution, fit_distribution_on_relief
+from torchmat.fitting.models.distribution.options import DISTRIBUTION_SOLVERS
+from torchmat.fitting.models.distribution.parameters import to_one
+from torchmat.fitting.recipe import Ladder, Part, Recipe, Tiling
+from torchmat.fitting.training import Fitted
+from torchmat.models import Distribution
+from torchmat.models.edit import without_idle_parts
+
+
+def _settle(options: dict[str, Any], fitted: Fitted) -> tuple[dict[str, Any], Fitted]:
+    """Return options that leave nothing to decide, and the fit with specular maps of the scale that tiles take."""
+    parts, lobes = fitted.figures["parts"], fitted.figures["lobes"]
+    chosen = {part: "yes" if part in parts else "no" for part in ("fresnel", "rotation", "tilt")}
+    if lobes:
+        fitted = fitted.with_material(fitted.material.with_maps(specular=fitted.shared["specular"].exp()))
+    return {**options, "lobes": lobes, **chosen}, fitted
+
+
+def _bytes_of_lobe(material: Distribution) -> float:
+    """Return the bytes a texel of one specular map."""
+    sizes = {spec.name: material.bytes_of(spec) for spec in material.specs()}
+    return sizes["specular"] / material.options["lobes"] / material.texels
+
+
+_LADDER = Ladder(
+    bare={"lobes": 1, "fresnel": "no", "rotation": "no", "normal": "no", "specular_mask": "no", "tilt": "no"},
+    parts=(
+        Part("mask", 1, {"specular_mask": "yes"}), Part("Fresnel", 1, {"fresnel": "yes"}),
+        Part("rotation", 2, {"rotation": "yes"}), Part("normal", 3, {"normal": "yes"}), Part("2 lobes", 2, {"lobes": 2}),
+        Part("3 lobes", 1, {"lobes": 3}), Part("tilt", 0, {"tilt": "yes"}),
+    ),
+    bytes=4, bytes_of_lobe=_bytes_of_lobe, without_idle_parts=without_idle_parts,
+)
+DISTRIBUTION = Recipe(
+    Distribution, fit_distribution, solvers=DISTRIBUTION_SOLVERS, solvers_differ=True, ladder=_LADDER, on_relief=fit_distribution_on_relief,
+    # What a relief is worth shows long before the last step.
+    quick={"lobes": 1, "fresnel": "yes", "rotation": "yes", "effort": 0.15},
+    tiling=Tiling(4096, _settle, to_one, bytes_per_texel=24_000, holds_samples=True),
+)

@@ -1,0 +1,201 @@
+"""Recipe: all that mechanism knows of a model's fit; and the table of them, which other packages may add to."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from torchmat.errors import RangeError, check_option, message
+from torchmat.fitting.models.any_model import DESCENTS, descend, fit_by_descent
+from torchmat.fitting.training import Fitted, Training
+from torchmat.models import MATERIALS, Material, register_material
+from torchmat.models.storage import StoredAs
+
+CLOSED_FORM_SOLVER = "closed_form"
+
+
+@dataclass(frozen=True)
+class Rung:
+    """One candidate of the automatic choice: a model with its options, and maps that are stored as numbers.
+
+    `bytes` is what its maps take a texel, in 8 bits.
+    """
+
+    name: str
+    model: str
+    bytes: float
+    options: Mapping[str, Any] = field(default_factory=dict)
+    stored: Mapping[str, StoredAs] = field(default_factory=dict)
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """The options of the fit: 8-bit textures, which some maps may be too good for (`shrink`)."""
+        return {**self.options, "storage": "png8"}
+
+
+@dataclass(frozen=True)
+class Part:
+    """Something that may be added to a material: bytes a texel of its map, the options that ask for it."""
+
+    name: str
+    bytes: float
+    options: Mapping[str, Any] = field(hash=False)
+
+    @property
+    def lobes(self) -> int:
+        """How many lobes it makes, 0 if it is about something else."""
+        return self.options.get("lobes", 0)
+
+
+@dataclass(frozen=True)
+class Ladder:
+    """A material that the automatic choice builds part by part: `bytes` a texel with the options `bare` alone.
+
+    `parts` in the order of trying; `bytes_of_lobe` gives the bytes a texel of what one more lobe needs besides its map,
+    `without_idle_parts` the material without parts that are stored as one number. Its recipe has `on_relief`, which
+    takes a height of None for a flat surface.
+    """
+
+    bare: Mapping[str, Any]
+    parts: tuple[Part, ...]
+    bytes: float
+    bytes_of_lobe: Callable[[Material], float]
+    without_idle_parts: Callable[[Material], Material]
+
+
+@dataclass(frozen=True)
+class Tiling:
+    """How a model is fitted tile by tile, and what memory that takes.
+
+    What all texels share is found on at most `sharing_texels` of them. `settle` (options, fitted) then returns options
+    that leave nothing to decide, and the fit with tables as tiles take them; `join` returns what changes of all
+    tiles' maps, the shared ones among them, where they become one material. `bytes_per_texel` is what a tile's fit takes apart from its
+    samples, `kept_mb` what it keeps besides; `holds_samples` says that all samples of a tile are held at once.
+    `refused` is why a model cannot be fitted so, with what to do.
+    """
+
+    sharing_texels: int = 16384
+    settle: Callable[[dict[str, Any], Fitted], tuple[dict[str, Any], Fitted]] | None = None
+    join: Callable[[dict[str, Any]], dict[str, Any]] | None = None
+    bytes_per_texel: int = 9_000
+    kept_mb: float = 0.0
+    holds_samples: bool = False
+    refused: tuple[str, str] | None = None
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """A model's fit and all that relief, tiles, choice, comparison and memory need to know of it.
+
+    Either `fit` or `start` is given. ``fit(training, *, ...) -> Fitted`` is the model's own way on a flat surface: its
+    keywords are the model's options, and `solvers` names what it does, the default first. ``start(training, *, ...) ->
+    Material`` gives maps from which the solvers of all models (adam, minibatch, lbfgs) descend.
+
+    `descends` says that those solvers serve as well, from what `fit` makes of few samples; without it `solvers` are all
+    there are. `on_relief` (surface, height, options) fits shadow and ambient itself, or returns None for options that
+    take the way of all models. `quick` are options of the fit that says what a relief is worth, `rungs` the candidates
+    of the automatic choice, `ladder` how it is built part by part there. `compared` are the options of its rows in a comparison ("terms=9"; empty is none), and
+    `solvers_differ` adds a row for each further solver, where none is the obvious one.
+    """
+
+    material: type[Material]
+    fit: Callable[..., Fitted] | None = None
+    start: Callable[..., Material] | None = None
+    solvers: tuple[str, ...] = (CLOSED_FORM_SOLVER,)
+    descends: bool = True
+    on_relief: Callable[..., Fitted | None] | None = None
+    quick: Mapping[str, Any] = field(default_factory=dict)
+    tiling: Tiling = Tiling()
+    rungs: tuple[Rung, ...] = ()
+    ladder: Ladder | None = None
+    compared: tuple[str, ...] = ("",)
+    solvers_differ: bool = False
+
+    def __post_init__(self) -> None:
+        where = "Recipe"
+        if not (isinstance(self.material, type) and issubclass(self.material, Material)):
+            raise RangeError(message(where, "material", "be a subclass of Material", f"it is {self.material!r}"))
+        if not isinstance(getattr(self.material, "name", None), str):
+            step = "Write `name = \"...\"` into the class."
+            raise RangeError(message(where, "material", "have a name", f"{self.material.__name__} has none", step))
+        if (self.fit is None) == (self.start is None):
+            fact = "both are given" if self.fit else "neither is given"
+            step = "Give fit(training, *, ...) -> Fitted, or start(training, *, ...) -> Material to descend from."
+            raise RangeError(message(where, f"the fit of {self.name}", "be `fit` or `start`", fact, step))
+
+    @property
+    def name(self) -> str:
+        """The model's name."""
+        return self.material.name
+
+    @property
+    def all_solvers(self) -> tuple[str, ...]:
+        """Every solver that may be asked for, the default first."""
+        if self.fit is None:
+            return ("minibatch", "adam", "lbfgs")
+        return (*self.solvers, *(one for one in DESCENTS if one not in self.solvers)) if self.descends else self.solvers
+
+    @property
+    def options(self) -> dict[str, Any]:
+        """The model's options and their defaults: the keywords of its fit or start, and the solver."""
+        parameters = inspect.signature(self.fit or self.start).parameters.values()
+        own = {p.name: p.default for p in parameters if p.kind is inspect.Parameter.KEYWORD_ONLY}
+        more = {"steps": 0, "rate": 0.0} if self.fit is None else {}
+        return {**own, **more, "solver": self.all_solvers[0]}
+
+    @property
+    def iterates(self) -> bool:
+        """Whether the default solver goes step by step, so that a time says more with its error."""
+        return self.all_solvers[0] in DESCENTS
+
+    def run(self, training: Training, *, solver: str | None = None, **options: Any) -> Fitted:
+        """Fit the model to a flat surface by one of its solvers."""
+        solver = solver or self.all_solvers[0]
+        check_option(f"fit {self.name}", "solver", solver, self.all_solvers)
+        if self.fit is None:
+            steps, rate = options.pop("steps", 0), options.pop("rate", 0.0)
+            material = self.start(training, **options)
+            tables = [spec.name for spec in material.own_specs() if spec.constant or not spec.per_texel]
+            known = {name: training.shared[name] for name in tables if name in training.shared}
+            material = material.with_maps(**known) if known else material
+            begun = Fitted(material, shared={name: material.maps[name].detach() for name in tables})
+            return descend(training, begun, solver, rate=rate or None, steps=steps or None)
+        if solver not in self.solvers:
+            return fit_by_descent(training, self.fit, solver, options)
+        takes_it = "solver" in inspect.signature(self.fit).parameters
+        return self.fit(training, **options, **({"solver": solver} if takes_it else {}))
+
+
+RECIPES: dict[str, Recipe] = {}
+
+
+def register(recipe: Recipe) -> Recipe:
+    """Add a model to those that `fit`, `compare`, folders and pictures know by name; return the recipe.
+
+    The built-in models come the same way. Raises RangeError when the name is taken, or the recipe is none.
+    """
+    if not isinstance(recipe, Recipe):
+        step = "Give Recipe(material=..., start=...) or Recipe(material=..., fit=...)."
+        raise RangeError(message("register", "recipe", "be a Recipe", f"it is {type(recipe).__name__}", step))
+    if recipe.name in RECIPES or recipe.name == "auto":
+        step = "Give the class another name."
+        raise RangeError(message("register", "the model's name", "be new", f"{recipe.name!r} is taken", step))
+    if MATERIALS.get(recipe.name) is not recipe.material:
+        register_material(recipe.material)
+    RECIPES[recipe.name] = recipe
+    return recipe
+
+
+def unregister(name: str) -> None:
+    """Take a model out again, the counterpart of `register`; materials of it can no longer be loaded by name."""
+    check_option("unregister", "name", name, RECIPES)
+    del RECIPES[name]
+    MATERIALS.pop(name, None)
+
+
+def recipe_of(model: str) -> Recipe:
+    """Return the recipe of a model; raises RangeError, with the nearest name, for an unknown one."""
+    check_option("fit", "model", model, RECIPES)
+    return RECIPES[model]
