@@ -21,9 +21,9 @@ import torchmat as tm
 from torchmat.btf.photographs import read_lights, read_linear
 from torchmat.create.textures import find_textures, read_textures
 from torchmat.fitting.config import FitConfig, load_config
+from torchmat.geometry.height_file import load_height
 from torchmat.material_io.folder import check_target
 from torchmat.material_io.packing import unpack
-from torchmat.material_io.relief import load_height
 from torchmat.rendering.lights import environment_lights
 from torchmat.rendering.mesh import load_mesh
 

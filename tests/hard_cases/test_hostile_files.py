@@ -21,10 +21,10 @@ from torchmat.brdf import AnalyticBrdf, brdf_kind
 from torchmat.btf.photographs import read_lights, read_linear
 from torchmat.btf.source import open_source
 from torchmat.errors import message
+from torchmat.geometry.height_file import load_height
 from torchmat.images import read_image, write_image
 from torchmat.material_io.folder import check_target
 from torchmat.material_io.packing import DESCRIPTION, pack, unpack
-from torchmat.material_io.relief import load_height
 from torchmat.rendering.mesh import load_mesh
 from torchmat.report.describe import is_brdf, is_material
 from torchmat.text_file import MOST_BYTES, read_json, read_text
