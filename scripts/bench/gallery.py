@@ -1,4 +1,4 @@
-"""Draw the README's picture: one object in every model beside the measured images: ``python scripts/bench/gallery.py``."""
+"""Draw the picture at the top of the README: one object in every model beside the measured images: ``python scripts/bench/gallery.py``."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Print the results as the tables that the README shows: ``python scripts/bench/tables.py``."""
+"""Print the results as the tables of the README beside it: ``python scripts/bench/tables.py``."""
 
 from __future__ import annotations
 

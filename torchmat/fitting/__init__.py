@@ -1,4 +1,4 @@
-"""Solvers, and fit(): a BTF and a model's name in, a material and a report out."""
+"""fit(): a BTF and a model in, a material and a report out; and all that models, relief, choice and tiles need for it."""
 
 from torchmat.fitting.config import FitConfig, load_config
 from torchmat.fitting.evaluate import evaluate, predict

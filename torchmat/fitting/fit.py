@@ -83,25 +83,28 @@ def fit(
 
     `model` is a name, a FitConfig, the path of a TOML config, or a material: an instance of any Material, registered or
     not, whose maps then descend from what they are by `solver` ("minibatch", "adam" or "lbfgs"), so many `steps` at
-    `rate`, those named in `keep` staying to the bit; a height and its ambient light stay as they are. `holdout` is the share of samples held out (0.2),
-    `holdout_by` "pair", "light", "view" or "arc" (`split_samples`); both, `seed` (0), `geometry`, `tiles` and the model's
-    `options` (named as in the README) override the config's. `geometry` "flat" (the default) takes texels for what they seem; "recover" finds
-    height and normals from the training samples and puts the model on that relief, with parallax, shadow and ambient
-    light, if that makes it better; a height map [1, H, W] in texture widths over the plane of the images, or the path of one, is
-    taken as it is. `tiles` False says that the surface does not repeat at its borders (True). `dtype` float64 runs the same code
-    in double precision. `measure` False leaves the errors out of the report, which takes most of the time of a
-    closed-form fit. Deterministic for a seed.
+    `rate`, those named in `keep` staying to the bit; a height and its ambient light stay as they are. `holdout` is the
+    share of samples held out (0.2), `holdout_by` "pair", "light", "view" or "arc" (`split_samples`); both, `seed` (0),
+    `geometry`, `tiles` and the model's `options` (named as in the README) override the config's. `geometry` "flat" (the
+    default) takes texels for what they seem; "recover" finds height and normals from the training samples and puts the
+    model on that relief, with parallax, shadow and ambient light, if that makes it better; a height map [1, H, W] in
+    texture widths over the plane of the images, or the path of one, is taken as it is. `tiles` False says that the
+    surface does not repeat at its borders (True). `dtype` float64 runs the same code in double precision. `measure`
+    False leaves the errors out of the report, which takes most of the time of a closed-form fit. Deterministic for a
+    seed.
 
     The model "auto" is the choice among all: the smallest material whose relative `error` or `psnr` (dB) on held-out
-    samples is as wanted, or the best within so many `bytes` a texel and `seconds`; see `fit.auto`. Of any other model
-    `seconds` stops an iterative solver, with the best so far. `scene`, a Scene or a list of them, fits only the texels,
-    lights and views that it uses, weighted as it uses them; the report then says what that saves and costs. `tile`
-    texels on a side are fitted at a time, or as many as `memory_mb` allows; finished tiles are kept in the folder `work`,
-    where a run that was killed goes on. `curve` records the held-out error against seconds as `history`.
+    samples is as wanted, or the best within so many `bytes` a texel and `seconds`; see `fitting.choice.choose`. Of any
+    other model `seconds` stops an iterative solver, with the best so far. `scene`, a Scene or a list of them, fits only
+    the texels, lights and views that it uses, weighted as it uses them; the report then says what that saves and costs.
+    `tile` texels on a side are fitted at a time, or as many as `memory_mb` allows; finished tiles are kept in the
+    folder `work`, where a run that was killed goes on. `curve` records the held-out error against seconds as `history`.
 
     Raises RangeError for unknown models or options, FitError when the data cannot determine the model.
     """
-    given = {"holdout": holdout, "holdout_by": holdout_by, "seed": seed, "tiles": tiles, "tile": tile, "memory_mb": memory_mb}
+    given = {
+        "holdout": holdout, "holdout_by": holdout_by, "seed": seed, "tiles": tiles, "tile": tile, "memory_mb": memory_mb,
+    }
     wanted = {"error": error, "psnr": psnr, "bytes": bytes, "seconds": seconds}
     if dtype not in (torch.float32, torch.float64):
         raise RangeError(message("fit", "dtype", "be torch.float32 or torch.float64", f"it is {dtype}"))

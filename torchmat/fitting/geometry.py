@@ -54,7 +54,8 @@ def resolve_geometry(asked: Any, *, by_itself: bool = False) -> Geometry:
     if isinstance(asked, Flat | Recover | Given):
         return asked
     if isinstance(asked, str) and not is_path(asked):
-        check_option("fit", "geometry", asked, (*GEOMETRIES, *([AUTO_RELIEF] if by_itself else []), "the path of a height map"))
+        words = (*GEOMETRIES, *([AUTO_RELIEF] if by_itself else []))
+        check_option("fit", "geometry", asked, (*words, "the path of a height map"))
         return Flat() if asked == FLAT else Recover()
     if isinstance(asked, str | Path):
         return Given(load_height(asked))

@@ -8,7 +8,6 @@ from collections.abc import Callable
 from typing import Any
 
 
-
 _FIRST, _GROWTH = 0.02, 1.25  # seconds until the curve's first point, and from each to the next
 
 

@@ -1,9 +1,9 @@
 """The choice among models: the smallest material that is as true as wanted, or the best one within a budget.
 
 It climbs from cheap to dear: a constant, a texture, Lambert, Phong, residuals and polynomials, all in closed form; the
-same on a relief that is recovered once; then what is built part by part, the distribution material. What is tried is measured, as its
-textures would bring it back, on training samples that no candidate was fitted to, and every decision is written down
-with its numbers. The material chosen is stored as small as the target allows (`shrink`).
+same on a relief that is recovered once; then what is built part by part, the distribution material. What is tried is
+measured, as its textures would bring it back, on training samples that no candidate was fitted to, and every decision
+is written down with its numbers. The material chosen is stored as small as the target allows (`shrink`).
 """
 
 from __future__ import annotations
