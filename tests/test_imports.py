@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 
 import torchmat
+from torchmat.fitting import RECIPES
 
 PACKAGE = Path(torchmat.__file__).parent
 
@@ -98,3 +99,29 @@ print(*sorted({"sympy", "matplotlib", "mitsuba", "sklearn"} & set(sys.modules)))
 """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == ""
+
+
+MECHANISM = ("fitting/on_relief.py", "fitting/from_material.py", "fitting/fit.py", "fitting/choice/*.py", "fitting/tiles/*.py",
+             "fitting/scene/*.py", "fitting/relief/*.py", "report/compare*.py")
+
+
+def models_named(path: Path, names: set[str]) -> set[str]:
+    """Return the models whose name stands in a module as a text, or whose class it imports."""
+    classes = {"".join(part.title() for part in name.split("_")): name for name in names}
+    found, tree = set(), ast.parse(path.read_text(encoding="utf-8"))
+    report_keys = {id(key) for node in ast.walk(tree) if isinstance(node, ast.Dict) for key in node.keys}  # "texture": a file
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Constant) and node.value in names and id(node) not in report_keys:
+            found.add(node.value)
+        if isinstance(node, ast.ImportFrom):
+            found |= {classes[alias.name] for alias in node.names if alias.name in classes}
+    return found
+
+
+def test_mechanism_asks_no_model_for_its_name(tmp_path):
+    names = set(RECIPES)
+    named = {str(path): models_named(path, names) for pattern in MECHANISM for path in PACKAGE.glob(pattern)}
+    # The default of fit() is a model's name, and the only one.
+    assert {path: some for path, some in named.items() if some} == {str(PACKAGE / "fitting/fit.py"): {"phong_srf"}}
+    (tmp_path / "bad.py").write_text('from torchmat.models import LocalPca\nif model == "distribution": pass\n')
+    assert models_named(tmp_path / "bad.py", names) == {"local_pca", "distribution"}
