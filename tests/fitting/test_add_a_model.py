@@ -137,7 +137,7 @@ def test_wrong_registrations_say_what_to_give(registered):
     ({"solver": "closed_form"}, RangeError, "solver"), ({"step": 3}, RangeError, "steps"), ({"keep": "roughness"}, RangeError, "list of names"),
     ({"keep": ("roughnes",)}, RangeError, "roughness"), ({"keep": ("diffuse", "reflectance", "roughness")}, RangeError, "leave a map to fit"),
     ({"steps": -1}, RangeError, "steps"), ({"geometry": "recover"}, RangeError, "geometry"), ({"tile": 4}, RangeError, "tile"),
-    ({"psnr": 30}, RangeError, "psnr"), ({"dtype": torch.float64}, RangeError, "dtype"),
+    ({"rate": float("inf")}, RangeError, "rate"), ({"psnr": 30}, RangeError, "psnr"), ({"dtype": torch.float64}, RangeError, "dtype"),
 ])
 def test_wrong_wishes_for_a_material_are_refused(truth, given, error, words):
     maps, btf = truth

@@ -13,7 +13,7 @@ from typing import Any
 from torchmat.btf.split import HOLDOUT_WAYS
 from torchmat.errors import RangeError, check_known_keys, check_option, message
 from torchmat.fitting.data_settings import DATA_KEYS, check_data_settings
-from torchmat.fitting.geometry import AUTO_RELIEF, GEOMETRIES, is_path
+from torchmat.fitting.geometry import check_word
 from torchmat.fitting.recipes import AUTO, resolve_options
 from torchmat.fitting.wanted import make_target
 from torchmat.text_file import read_toml
@@ -46,9 +46,7 @@ class FitConfig:
         if self.geometry is None:
             object.__setattr__(self, "geometry", AUTO if self.model == AUTO else "flat")
         resolve_options(self.model, self.options)
-        if not is_path(self.geometry):
-            words = (*GEOMETRIES, *([AUTO_RELIEF] if self.model == AUTO else []), "the path of a height map")
-            check_option("config", "geometry", self.geometry, words)
+        check_word("config", self.geometry, self.model == AUTO)
         make_target("config [target]", self.target)
         for name in ("tile", "memory_mb"):
             if not 0 <= getattr(self, name) < math.inf:

@@ -9,6 +9,7 @@ from typing import Any
 from torchmat.btf import Btf
 from torchmat.errors import RangeError, ShapeError, check_known_keys, check_option, message
 from torchmat.fitting.models.any_model import DESCENTS, descend
+from torchmat.fitting.recipes import check_kind
 from torchmat.fitting.relief.surface import bring_onto, without_shadow
 from torchmat.fitting.training import Fitted, Training
 from torchmat.models import Material
@@ -36,10 +37,8 @@ def descent_of(btf: Btf, material: Material, options: dict[str, Any]) -> Descent
         raise RangeError(message(where, "keep", "be a list of names", f"it is {keep!r}", f"Give ({keep!r},)."))
     found = Descent(**{**options, "keep": tuple(keep)})
     check_option(where, "solver", found.solver, DESCENTS)
-    for name in ("steps", "rate"):
-        value = getattr(found, name)
-        if isinstance(value, bool) or not isinstance(value, int if name == "steps" else int | float) or value < 0:
-            raise RangeError(message(where, name, "be a number of at least 0", f"it is {value!r}", "0 is the usual."))
+    check_kind(where, "steps", found.steps, int)
+    check_kind(where, "rate", found.rate, float)
     names = [spec.name for spec in material.specs()]
     for name in found.keep:
         check_option(where, "keep", name, names)
@@ -71,19 +70,18 @@ def fit_from(training: Training, material: Material, how: Descent) -> Fitted:
     bare = material.surface()
     own = {name: value.detach() for name, value in bare.maps.items()}
     flat = type(material)(own, **bare.settings(own), **bare.options)
-    settings["keep"] = [name for name in own if name in (*keep, *_of_the_height(material))]
+    settings["keep"] = [name for name in own if name in (*keep, *_of_the_height(material, bare))]
     fitted = descend(without_shadow(surface, ambient), Fitted(flat), how.solver, **settings)
     free = [name for name in own if name not in settings["keep"]]
     return fitted.with_material(material.with_maps(**{name: fitted.material.maps[name].detach() for name in free}))
 
 
-def _of_the_height(material: Material) -> list[str]:
-    """Return the maps that on the surface of a relief are no longer the material's own: normals that hold the height's."""
-    bare = material.surface()
+def _of_the_height(material: Material, bare: Material) -> list[str]:
+    """Return the maps of its `bare` surface that are not the material's own: normals that hold the height's."""
     return [name for name, value in bare.maps.items() if name not in material.maps or value is not material.maps[name]]
 
 
 def kept_names(material: Material, keep: Sequence[str]) -> list[str]:
     """Return the maps that a fit from a material leaves to the bit, in the material's order."""
-    fixed = (*keep, *_RELIEF, *(_of_the_height(material) if material.has_relief else ()))
+    fixed = (*keep, *_RELIEF, *(_of_the_height(material, material.surface()) if material.has_relief else ()))
     return [spec.name for spec in material.specs() if spec.name in fixed]

@@ -54,12 +54,18 @@ def resolve_geometry(asked: Any, *, by_itself: bool = False) -> Geometry:
     if isinstance(asked, Flat | Recover | Given):
         return asked
     if isinstance(asked, str) and not is_path(asked):
-        words = (*GEOMETRIES, *([AUTO_RELIEF] if by_itself else []))
-        check_option("fit", "geometry", asked, (*words, "the path of a height map"))
+        check_word("fit", asked, by_itself)
         return Flat() if asked == FLAT else Recover()
     if isinstance(asked, str | Path):
         return Given(load_height(asked))
     return Given(_as_height(asked))
+
+
+def check_word(where: str, text: str, by_itself: bool) -> None:
+    """Raise RangeError, with the nearest word, for a text that is neither a way nor the path of a height map."""
+    if not is_path(text):
+        words = (*GEOMETRIES, *([AUTO_RELIEF] if by_itself else []), "the path of a height map")
+        check_option(where, "geometry", text, words)
 
 
 def is_path(text: str) -> bool:

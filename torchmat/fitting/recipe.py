@@ -13,7 +13,7 @@ from torchmat.fitting.training import Fitted, Training
 from torchmat.models import MATERIALS, Material, register_material
 from torchmat.models.storage import StoredAs
 
-CLOSED_FORM_SOLVER = "closed_form"
+AUTO = "auto"  # not a model: the choice among them
 
 
 @dataclass(frozen=True)
@@ -95,7 +95,7 @@ class Recipe:
 
     `descends` says that those solvers serve as well, from what `fit` makes of few samples; without it `solvers` are all
     there are. `on_relief` (surface, height, options) fits shadow and ambient itself, or returns None for options that
-    take the way of all models. `quick` are options of the fit that says what a relief is worth, `rungs` the candidates
+    take the way of all models; those of `rungs` it must take. `quick` are options of the fit that says what a relief is worth, `rungs` the candidates
     of the automatic choice, `ladder` how it is built part by part there. `compared` are the options of its rows in a comparison ("terms=9"; empty is none), and
     `solvers_differ` adds a row for each further solver, where none is the obvious one.
     """
@@ -103,7 +103,7 @@ class Recipe:
     material: type[Material]
     fit: Callable[..., Fitted] | None = None
     start: Callable[..., Material] | None = None
-    solvers: tuple[str, ...] = (CLOSED_FORM_SOLVER,)
+    solvers: tuple[str, ...] = ("closed_form",)
     descends: bool = True
     on_relief: Callable[..., Fitted | None] | None = None
     quick: Mapping[str, Any] = field(default_factory=dict)
@@ -179,7 +179,7 @@ def register(recipe: Recipe) -> Recipe:
     if not isinstance(recipe, Recipe):
         step = "Give Recipe(material=..., start=...) or Recipe(material=..., fit=...)."
         raise RangeError(message("register", "recipe", "be a Recipe", f"it is {type(recipe).__name__}", step))
-    if recipe.name in RECIPES or recipe.name == "auto":
+    if recipe.name in RECIPES or recipe.name == AUTO:
         step = "Give the class another name."
         raise RangeError(message("register", "the model's name", "be new", f"{recipe.name!r} is taken", step))
     if MATERIALS.get(recipe.name) is not recipe.material:

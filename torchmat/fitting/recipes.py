@@ -12,14 +12,12 @@ from torchmat.fitting.models.pca import LOCAL_PCA, PCA
 from torchmat.fitting.models.phong_srf import PHONG_SRF
 from torchmat.fitting.models.shading_map import SHADING_MAP
 from torchmat.fitting.models.spheres.to_btf import SPHERE_IMAGES
-from torchmat.fitting.recipe import RECIPES, recipe_of, register
+from torchmat.fitting.recipe import AUTO, RECIPES, recipe_of, register
 
 for _recipe in (
     TEXTURE, LAMBERT, LPTM, PTM, HSH, PHONG_SRF, PCA, LOCAL_PCA, SPHERE_IMAGES, SHADING_MAP, DISTRIBUTION, NEURAL,
 ):
     register(_recipe)
-
-AUTO = "auto"  # not a model: the choice among them
 
 
 def default_options(model: str) -> dict[str, object]:
@@ -33,13 +31,13 @@ def resolve_options(model: str, given: dict[str, object]) -> dict[str, object]:
     defaults = default_options(model)
     check_known_keys(f"fit {model}", given, defaults)
     for name, value in given.items():
-        _check_kind(f"fit {model}", name, value, type(defaults[name]))
+        check_kind(f"fit {model}", name, value, type(defaults[name]))
     if "solver" in given:
         check_option(f"fit {model}", "solver", given["solver"], recipe_of(model).all_solvers)
     return {**defaults, **given}
 
 
-def _check_kind(where: str, name: str, value: object, kind: type) -> None:
+def check_kind(where: str, name: str, value: object, kind: type) -> None:
     """Raise RangeError unless `value` is of the default's kind; whole numbers serve as numbers, booleans do not.
 
     No option of a model has a meaning below 0, or where it is no number.

@@ -9,8 +9,7 @@ from torch import Tensor
 
 from torchmat.fitting.choice.ladder import Rung, named
 from torchmat.fitting.choice.shrink import Shrunk
-from torchmat.fitting.on_relief import fit_on_relief
-from torchmat.fitting.recipe import recipe_of
+from torchmat.fitting.on_relief import fit_flat, fit_on_relief
 from torchmat.fitting.training import Fitted, Training
 from torchmat.models import Material
 
@@ -41,8 +40,7 @@ class Option:
 
 def fit_flat_rung(training: Training, rung: Rung) -> Fitted:
     """Fit one candidate to a flat surface."""
-    fitted = recipe_of(rung.model).run(replace(training, progress=False), **rung.settings)
-    return replace(fitted, material=fitted.material.repeating(training.tiles))
+    return fit_flat(replace(training, progress=False), rung.model, rung.settings)
 
 
 def fit_rung(training: Training, rung: Rung, height: Tensor | None) -> Fitted:

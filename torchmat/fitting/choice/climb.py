@@ -11,7 +11,7 @@ from torch import Tensor
 from torchmat.fitting.choice.candidate import Option, fit_flat_rung
 from torchmat.fitting.choice.decisions import Decisions, gain_db
 from torchmat.fitting.choice.examine import Examiner, Measured, keep_back, of_some_texels, wanted_cost
-from torchmat.fitting.choice.ladder import RELIEF_BYTES, closed_forms, named
+from torchmat.fitting.choice.ladder import RELIEF_BYTES, all_rungs, named
 from torchmat.fitting.choice.parts import PartsClimb
 from torchmat.fitting.choice.shrink import shrink, total_bytes
 from torchmat.fitting.recipe import Recipe, Rung, recipe_of
@@ -61,7 +61,7 @@ class Climb:
         A texel's maps depend on that texel alone, so some say nearly all there is to say.
         """
         fits: dict[tuple, Fitted] = {}
-        for rung in closed_forms():
+        for rung in all_rungs():
             if self._cannot_pay(rung):
                 continue
             start, key = self.watch.seconds, (rung.model, *sorted(rung.options.items()))
@@ -74,7 +74,8 @@ class Climb:
         """Try the closed forms on a relief, all on samples that are brought onto it once."""
         surface, bare, shadowed = bring_onto(replace(self.part, progress=False), height), None, None
         # What fits shadow itself comes first: the others need samples without it, which take the place of those with it.
-        rungs = sorted((rung for rung in closed_forms() if not rung.stored), key=lambda rung: recipe_of(rung.model).on_relief is None)
+        rungs = (rung for rung in all_rungs() if not rung.stored)
+        rungs = sorted(rungs, key=lambda rung: recipe_of(rung.model).on_relief is None)
         for rung in rungs:
             if self._cannot_pay(rung, height):
                 continue

@@ -17,7 +17,7 @@ def named(rung: Rung, height: Tensor | None) -> str:
     return rung.name if height is None else f"{rung.name} on relief"
 
 
-def closed_forms() -> list[Rung]:
+def all_rungs() -> list[Rung]:
     """Return the rungs of all registered models, from few bytes to many; what two of them share is fitted once."""
     return sorted((rung for recipe in RECIPES.values() for rung in recipe.rungs), key=lambda rung: rung.bytes)
 
