@@ -165,7 +165,7 @@ def test_a_wrong_relief_is_dropped_on_samples_that_neither_fit_saw(monkeypatch):
     scene = glossy_scene()
     wrong = relief_scene().true_height.float()
     up = torch.tensor([0.0, 0.0, 1.0])[:, None, None].expand(3, 24, 24)
-    monkeypatch.setattr(on_relief, "recover_relief", lambda training: Recovery(Relief(wrong, up), {"scale": 1.0, "stop_reason": "converged"}))
+    monkeypatch.setattr(on_relief, "recover_relief", lambda training: Recovery(Relief(wrong, up), "made up", 1.0, 0.0, "nothing"))
     result, flat = (tm.fit(scene.btf(), "ptm", geometry=way, measure=False) for way in ("recover", "flat"))
     figures = result.report["figures"]["geometry"]
     assert figures["chosen"] == "flat" and figures["validation_psnr_db"]["flat"] > figures["validation_psnr_db"]["recover"]

@@ -59,7 +59,7 @@ def test_the_height_is_recovered_with_its_scale_and_offset(name):
     assert abs(found[1] - 1) < 1.3 * abs(1 - slope)
     assert found[2] < offset + 0.003
     assert found[3] < 1.3 * worst
-    figures = recovered.figures
+    figures = recovered.figures()
     assert figures["disagreement"] < 0.5 * figures["disagreement_flat"]
 
 
@@ -81,7 +81,8 @@ def test_normals_are_those_of_the_surface():
 
 
 def test_a_flat_glossy_surface_comes_out_exactly_flat():
-    relief, figures = recover_geometry(glossy_scene().btf())
+    found = recover_geometry(glossy_scene().btf())
+    relief, figures = found.relief, found.figures()
     assert torch.equal(relief.height, torch.zeros(1, 24, 24))
     assert torch.equal(relief.normal, torch.tensor([0.0, 0.0, 1.0])[:, None, None].expand(3, 24, 24))
     assert figures["scale"] == 0.0 and figures["offset"] == 0.0
@@ -104,7 +105,8 @@ def test_noise_does_not_raise_a_flat_glossy_surface(seed):
 )
 def test_without_parallax_it_is_photometric_stereo_of_mean_zero(views):
     scene = relief_scene(depth=0.1, views=views)
-    relief, figures = recover_geometry(scene.btf())
+    found = recover_geometry(scene.btf())
+    relief, figures = found.relief, found.figures()
     assert abs(float(relief.height.mean())) < 1e-7
     assert figures["method"] == "photometric stereo" and "too few views" in figures["scale_from"]
     assert figures["offset"] == 0.0 and figures["scale"] == 1.0
@@ -116,7 +118,7 @@ def test_few_samples_are_photometric_stereo_too():
     rows = np.flatnonzero(np.arange(len(scene.light)) < 10)  # all lights under the first view
     rows = np.concatenate((rows, np.arange(10, len(scene.light), 8)))[:23]
     assert len({tuple(row) for row in scene.view[rows].round(6)}) >= 6
-    figures = recover_geometry(Btf.from_tensors(scene.images[rows].astype(np.float32), scene.light[rows], scene.view[rows])).figures
+    figures = recover_geometry(Btf.from_tensors(scene.images[rows].astype(np.float32), scene.light[rows], scene.view[rows])).figures()
     assert "too few views" in figures["scale_from"]
 
 
@@ -188,7 +190,7 @@ def test_held_out_samples_are_never_looked_at():
         training = make_training(btf, kept.nonzero()[:, 0], 0, True, torch.float32, False)
         found.append(recover_relief(training))
     assert same_bits(*found)
-    assert found[0].figures == found[1].figures
+    assert found[0].figures() == found[1].figures()
     seen = recover_geometry(Btf.from_tensors(poisoned, scene.light, scene.view))
     assert not same_bits(found[0], seen)  # the poison does show where it is looked at
 
@@ -259,16 +261,16 @@ def recovered_within(scene: Scene, limit: float):
 def test_seconds_that_end_before_an_offset_is_found_leave_a_flat_surface():
     scene = relief_scene()
     found, watch = recovered_within(scene, 20)  # of which half, and there are 13 offsets to try
-    assert found.figures["stop_reason"] == BUDGET and found.figures["scale"] == 0
+    assert found.stop_reason == BUDGET and found.scale == 0
     assert torch.equal(found.relief.height, torch.zeros(1, 24, 24)) and watch.looks < 15
 
 
 def test_seconds_that_end_later_leave_the_coarse_height():
     scene = relief_scene()
     whole = recover_geometry(scene.btf())
-    assert whole.figures["stop_reason"] == "converged"
+    assert whole.stop_reason == "converged"
     found, watch = recovered_within(scene, 60)
-    assert found.figures["stop_reason"] == BUDGET and watch.looks < 40
+    assert found.stop_reason == BUDGET and watch.looks < 40
     correlation, slope, offset, worst = compared(scene, found.relief.height)
     # Measured 0.99992, 0.947, 0.007, 0.040: the shape of photometric stereo with the scale and offset found, not refined.
     assert correlation > 0.9998 and abs(slope - 1) < 0.07 and offset < 0.01 and worst < 0.05

@@ -70,7 +70,7 @@ class Geometry:
                 from torchmat.fitting import recover_geometry
 
                 found = recover_geometry(btf, tiles=self.tiles)
-                print("; ".join(f"{key}: {value}" for key, value in found.figures.items()))
+                print("; ".join(f"{key}: {value}" for key, value in found.figures().items()))
                 return found.relief
             rows = ((btf.view_index == 0) & (btf.light[:, 2] > 0)).nonzero()[:, 0]  # views run from the pole outward
             images, light, weight = btf.images(rows), btf.light[rows], btf.weights(rows)

@@ -123,11 +123,10 @@ def fit(
         watch.note(lambda: fitted.material)
     seconds = watch.seconds
     errors, held_out = evaluate_parts(btf, fitted.material, split, progress) if measure else (dict.fromkeys(PARTS), None)
-    ways = {"options": _options_used(task.options, fitted), "geometry": task.geometry}
+    ways = {"options": task.options if fitted.options is None else fitted.options, "geometry": task.geometry}
     report = {**_described(btf, config, fitted), **ways, "fit_seconds": seconds, **errors, "curve": watch.history}
     if task.scene is not None:
-        figures = scene_figures(btf, fitted.material, split, task.scene, config.tiles, measure, progress)
-        report["scene"] = {**fitted.figures["scene"], **figures}
+        report["scene"] = scene_figures(btf, fitted, split, task.scene, config.tiles, measure, progress)
     if work is not None:
         clear_work(work)
     return FitResult(
@@ -231,11 +230,6 @@ def _resolve(
     base = model if isinstance(model, FitConfig) else FitConfig(model=model)
     given, wanted = ({name: value for name, value in table.items() if value is not None} for table in (given, wanted))
     return dataclasses.replace(base, **given, target={**base.target, **wanted}, options={**base.options, **options})
-
-
-def _options_used(chosen: dict[str, Any], fitted: Fitted) -> dict[str, Any]:
-    choice = fitted.figures.get("auto")
-    return choice["chosen"]["options"] if choice else chosen
 
 
 def _coverage(coverage: Tensor | None) -> dict[str, float] | None:

@@ -41,7 +41,7 @@ def fit_on_relief(
     shadowed, usual = ambient_and_usual(surface)
     fitted = fit_flat(without_shadow(surface, shadowed), model, options)
     material = fitted.material.on_relief(height, shadowed)
-    return replace(fitted, material=material, shared={**fitted.shared, "usual_ambient": usual})
+    return replace(fitted, material=material, shared=replace(fitted.shared, usual_ambient=usual))
 
 
 def fit_flat(training: Training, model: str, options: dict[str, Any]) -> Fitted:
@@ -68,10 +68,11 @@ def fit_with_geometry(
     if isinstance(geometry, Flat):
         return fit_flat(training, model, options)
     start = time.perf_counter()
-    relief, figures = recover_relief(recovered_from or training)
-    figures = {**figures, "recovery_seconds": time.perf_counter() - start}
+    recovery = recover_relief(recovered_from or training)
+    relief = recovery.relief
+    figures = {**recovery.figures(), "recovery_seconds": time.perf_counter() - start}
     height, raised = relief.height, float(relief.height.abs().max()) > 0
-    cut = figures["stop_reason"] == BUDGET or (raised and training.watch.spent)
+    cut = recovery.stop_reason == BUDGET or (raised and training.watch.spent)
     if not raised or training.watch.spent:
         chosen = "flat"
     else:

@@ -9,6 +9,7 @@ from typing import Any
 
 from torchmat.errors import RangeError, check_option, message
 from torchmat.fitting.models.any_model import DESCENTS, descend, fit_by_descent
+from torchmat.fitting.shared import Shared
 from torchmat.fitting.training import Fitted, Training
 from torchmat.models import MATERIALS, Material, register_material
 from torchmat.models.storage import StoredAs
@@ -95,7 +96,7 @@ class Recipe:
 
     `descends` says that those solvers serve as well, from what `fit` makes of few samples; without it `solvers` are all
     there are. `on_relief` (surface, height, options) fits shadow and ambient itself, or returns None for options that
-    take the way of all models; those of `rungs` it must take. `quick` are options of the fit that says what a relief is worth, `rungs` the candidates
+    take the way of all models; those of `rungs` it must take. `shared` is the class of what its fit says that all texels have in common. `quick` are options of the fit that says what a relief is worth, `rungs` the candidates
     of the automatic choice, `ladder` how it is built part by part there. `compared` are the options of its rows in a comparison ("terms=9"; empty is none), and
     `solvers_differ` adds a row for each further solver, where none is the obvious one.
     """
@@ -108,6 +109,7 @@ class Recipe:
     on_relief: Callable[..., Fitted | None] | None = None
     quick: Mapping[str, Any] = field(default_factory=dict)
     tiling: Tiling = Tiling()
+    shared: type[Shared] = Shared
     rungs: tuple[Rung, ...] = ()
     ladder: Ladder | None = None
     compared: tuple[str, ...] = ("",)
@@ -158,9 +160,9 @@ class Recipe:
             steps, rate = options.pop("steps", 0), options.pop("rate", 0.0)
             material = self.start(training, **options)
             tables = [spec.name for spec in material.own_specs() if spec.constant or not spec.per_texel]
-            known = {name: training.shared[name] for name in tables if name in training.shared}
+            known = {name: training.table(name) for name in tables if training.table(name) is not None}
             material = material.with_maps(**known) if known else material
-            begun = Fitted(material, shared={name: material.maps[name].detach() for name in tables})
+            begun = Fitted(material, shared=Shared({name: material.maps[name].detach() for name in tables}))
             return descend(training, begun, solver, rate=rate or None, steps=steps or None)
         if solver not in self.solvers:
             return fit_by_descent(training, self.fit, solver, options)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -11,6 +10,8 @@ from torch import Tensor
 
 from torchmat.btf import Btf
 from torchmat.errors import FitError, message
+from torchmat.fitting.scene.share import SceneShare
+from torchmat.fitting.shared import Shared
 from torchmat.geometry import Relief
 from torchmat.models import Material
 from torchmat.solvers.clock import Watch
@@ -22,8 +23,8 @@ class Training:
     """The samples a fit may look at: `used` is bool [sample], lights above the horizon and not held out.
 
     `tiles` says that the surface repeats. `importance` [sample] is what a sample counts (None: all alike); `watch` is
-    the fit's clock. `shared` is what all texels have in common where that is known already (`Fitted.shared`): a fit then
-    finds only what each texel has of its own, whatever other texels there are.
+    the fit's clock. `shared` is what all texels have in common where that is known already (`Fitted.shared`), else None: a
+    fit that is given it finds only what each texel has of its own, whatever other texels there are.
     """
 
     btf: Btf
@@ -34,7 +35,11 @@ class Training:
     progress: bool | None = None
     importance: Tensor | None = None
     watch: Watch = field(default_factory=Watch)
-    shared: Mapping[str, Any] = field(default_factory=dict)
+    shared: Shared | None = None
+
+    def table(self, name: str) -> Tensor | None:
+        """Return a map that all texels share where it is known already."""
+        return None if self.shared is None else self.shared.tables.get(name)
 
     def counted(self, weight: Tensor, samples: range | Tensor) -> Tensor:
         """Return weights [k, ...] of samples, a run or their numbers, times what each sample counts."""
@@ -78,10 +83,11 @@ def make_training(
 class Fitted:
     """A material, why the solver stopped, the share of its unknowns each texel's samples determine, and figures.
 
-    `coverage` [1, H, W] or None where it has no meaning; `figures` go into the report under the model's own keys;
-    `relief` is the geometry that was recovered and used; `history` lists (seconds, error) of a solver in its own terms;
-    `shared` is what all texels have in common, as tensors or numbers: a fit of other texels takes it as
-    `Training.shared`.
+    `coverage` [1, H, W] or None where it has no meaning; `figures` go into the report under the model's own keys, for
+    readers: no code looks into them. `relief` is the geometry that was recovered and used; `history` lists (seconds,
+    error) of a solver in its own terms; `shared` is what all texels have in common: a fit of other texels takes it as
+    `Training.shared`. `options` are those of the model that was chosen, None where they are those that were
+    asked for; `scene` what a fit for a scene looked at.
     """
 
     material: Material
@@ -90,7 +96,9 @@ class Fitted:
     figures: dict[str, Any] = field(default_factory=dict)
     relief: Relief | None = None
     history: list[tuple[float, float]] = field(default_factory=list)
-    shared: dict[str, Any] = field(default_factory=dict)
+    shared: Shared = Shared()
+    options: dict[str, Any] | None = None
+    scene: SceneShare | None = None
 
     def with_material(self, material: Material) -> Fitted:
         """Return the same findings with another material."""

@@ -109,7 +109,7 @@ def _recovered(climb: Climb) -> Recovery | None:
     if float(recovery.relief.height.abs().max()) == 0:
         climb.log.skip("relief", f"the images agree best on a flat surface ({seconds:.1f} s)")
         return None
-    climb.log.note("relief", f"recovered in {seconds:.1f} s, {recovery.figures['method']}", seconds)
+    climb.log.note("relief", f"recovered in {seconds:.1f} s, {recovery.method}", seconds)
     return recovery
 
 
@@ -137,8 +137,8 @@ def _delivered(climb: Climb, recovery: Recovery | None) -> Fitted:
     reason = WITHIN if climb.limit is None else MET if climb.meets(best) else NOT_MET
     figures = {**fitted.figures, "auto": _figures(climb, best, reason)}
     if recovery is not None:
-        figures["geometry"] = {**recovery.figures, "chosen": "flat" if best.height is None else "recover"}
-    return replace(fitted, material=material, stop_reason=reason, figures=figures, relief=relief)
+        figures["geometry"] = {**recovery.figures(), "chosen": "flat" if best.height is None else "recover"}
+    return replace(fitted, material=material, stop_reason=reason, figures=figures, relief=relief, options=best.rung.settings)
 
 
 def _figures(climb: Climb, best: Option, reason: str) -> dict[str, Any]:

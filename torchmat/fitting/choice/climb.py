@@ -207,7 +207,7 @@ class Climb:
         """Return `training` with what some texels of a candidate have said that all of them share."""
         if self.thin is None or option.height is not None:
             return training
-        return replace(training, shared={**training.shared, **option.fitted.shared})
+        return replace(training, shared=option.fitted.shared)
 
     def _examiner_of(self, option: Option) -> Examiner:
         return self._thin_examiner if option.thin else self.examiner

@@ -51,17 +51,13 @@ def descend(
     """
     with one_thread():
         shared = [spec.name for spec in begun.material.own_specs() if spec.constant or not spec.per_texel]
-        unknowns = Unbounded(begun.material, (*keep, *(shared if training.shared else ())))
+        unknowns = Unbounded(begun.material, (*keep, *(shared if training.shared is not None else ())))
         run = functools.partial(_RUNS[solver], training, unknowns)
         settings = {"rate": rate or _RATES.get(solver), "steps": _STEPS[solver] if steps is None else steps, "tolerance": tolerance}
         found = run(**{name: value for name, value in settings.items() if value is not None})
         material = unknowns.made()
     figures = {**begun.figures, "solver": solver, "steps": found.steps, "objective": found.value}
-    common = {
-        name: material.maps[name].detach().to(value.dtype) if name in material.maps else value
-        for name, value in begun.shared.items()
-    }
-    return Fitted(material, found.reason, None, figures, history=found.history, shared=common)
+    return Fitted(material, found.reason, None, figures, history=found.history, shared=begun.shared.moved_to(material))
 
 
 def _start(training: Training, fit: Callable[..., Fitted], options: dict[str, Any]) -> Fitted:

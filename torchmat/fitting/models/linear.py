@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import torch
 from torch import Tensor
 
@@ -10,6 +12,7 @@ from torchmat.errors import RangeError, check_option, message
 from torchmat.fitting.models.streamed import LinearFit, Moments, solve_texels, stream_moments
 from torchmat.fitting.recipe import Recipe, Rung
 from torchmat.fitting.relief.surface import Surface
+from torchmat.fitting.shared import Shared
 from torchmat.fitting.training import Fitted, Training
 from torchmat.geometry import normals_from_slopes
 from torchmat.models import Hsh, Lambert, Lptm, Ptm, Texture
@@ -95,6 +98,13 @@ def fit_lambert(training: Training, *, normals: str = "auto", storage: str = "ha
     return Fitted(Lambert({"albedo": albedo, "normal": normal}, storage=storage), coverage=solved.coverage)
 
 
+@dataclass(frozen=True)
+class LambertShared(Shared):
+    """What all texels share on a relief: the data's `mean_value`, by which samples are weighed."""
+
+    mean_value: float = 1.0
+
+
 def fit_lambert_on_relief(
     surface: Surface, height: Tensor, *, normals: str = "auto", solver: str = "closed_form", storage: str = "half"
 ) -> Fitted | None:
@@ -113,7 +123,8 @@ def fit_lambert_on_relief(
     normal = normals_from_slopes(surface.slopes).flatten(1)
     size = (btf.height, btf.width)
     left, right = torch.zeros(3, *size, dtype=dtype), torch.zeros(2, 3, *size, dtype=dtype)
-    mean_value = training.shared.get("mean_value") or _mean_value(training)
+    known = training.shared
+    mean_value = known.mean_value if isinstance(known, LambertShared) else _mean_value(training)
     level = _EYE * mean_value
     for block in btf.blocks(None, dtype, training.progress):
         light = btf.light[block.samples.start : block.samples.stop].to(dtype)
@@ -129,7 +140,7 @@ def fit_lambert_on_relief(
     lit = ((left[0] > 0) & (left[2] > 0)).to(dtype)[None]
     maps = {"albedo": albedo, "height": height.to(dtype), "ambient": ambient}
     material = Lambert(maps, normals="height", storage=storage, tiles=training.tiles)
-    return Fitted(material, coverage=lit, shared={"mean_value": mean_value})
+    return Fitted(material, coverage=lit, shared=LambertShared(mean_value=mean_value))
 
 
 def _mean_value(training: Training) -> float:
@@ -174,7 +185,7 @@ def _albedo(training: Training, normal: Tensor) -> Tensor:
 TEXTURE = Recipe(Texture, fit_texture, rungs=(
     Rung("constant", "texture", 0, {}, {"albedo": StoredAs((1, 1))}), Rung("texture", "texture", 3),
 ))
-LAMBERT = Recipe(Lambert, fit_lambert, on_relief=fit_lambert_on_relief, rungs=(Rung("Lambert", "lambert", 6),))
+LAMBERT = Recipe(Lambert, fit_lambert, on_relief=fit_lambert_on_relief, shared=LambertShared, rungs=(Rung("Lambert", "lambert", 6),))
 PTM = Recipe(Ptm, fit_ptm, rungs=(Rung("PTM", "ptm", 18),))
 LPTM = Recipe(Lptm, fit_lptm, rungs=(Rung("luminance PTM", "lptm", 9),))
 HSH = Recipe(

@@ -11,6 +11,7 @@ from torch import Tensor
 from torchmat import safe
 from torchmat.errors import FitError, RangeError, message
 from torchmat.fitting.recipe import Recipe, Tiling
+from torchmat.fitting.shared import Shared
 from torchmat.fitting.training import Fitted, Training
 from torchmat.models import LocalPca, Pca
 from torchmat.models.angular import projected
@@ -93,7 +94,7 @@ def _range_finder(
 
 def fit_pca(training: Training, *, components: int = 16, storage: str = "half") -> Fitted:
     """Truncated SVD of the matrix whose rows are images; not centred, as BTF compression usually is."""
-    if "weight" in training.shared:
+    if training.table("weight") is not None:
         return _pca_of(training, components, storage)
     images = _Images(training)
     count = len(images.rows)
@@ -120,12 +121,12 @@ def fit_pca(training: Training, *, components: int = 16, storage: str = "half") 
         "directions": _directions(training, images.rows),
     }
     material = _balanced(Pca, maps, ("component", "weight"), components=components, storage=storage)
-    return Fitted(material, shared={name: maps[name] for name in ("weight", "directions")})
+    return Fitted(material, shared=Shared({name: maps[name] for name in ("weight", "directions")}))
 
 
 def _pca_of(training: Training, components: int, storage: str) -> Fitted:
     """Return the PCA whose weights are known already: each texel is projected onto them, in one pass."""
-    maps = {name: training.shared[name] for name in ("weight", "directions")}
+    maps = {name: training.shared.tables[name] for name in ("weight", "directions")}
     images = _Images(training, keep=False)
     weight = images.weighed(maps["weight"][:, 0].T).T.double()
     with one_thread():
@@ -183,7 +184,7 @@ def fit_local_pca(
     The texels' reflectance [texel, 3 sample] is first brought to its leading dimensions by a randomised SVD; all
     clustering happens there.
     """
-    if "reflectance" in training.shared:
+    if training.table("reflectance") is not None:
         return _local_pca_of(training, clusters, components, storage)
     images = _Images(training)
     count = len(images.rows)
@@ -219,12 +220,12 @@ def fit_local_pca(
         "reflectance": tables.contiguous(), "directions": _directions(training, images.rows),
     }
     material = LocalPca(maps, clusters=clusters, components=components, storage=storage)
-    return Fitted(material, shared={name: maps[name] for name in ("reflectance", "directions")})
+    return Fitted(material, shared=Shared({name: maps[name] for name in ("reflectance", "directions")}))
 
 
 def _local_pca_of(training: Training, clusters: int, components: int, storage: str) -> Fitted:
     """Return the local PCA whose tables are known already: each texel takes the nearest cluster's, in one pass."""
-    maps = {name: training.shared[name] for name in ("reflectance", "directions")}
+    maps = {name: training.shared.tables[name] for name in ("reflectance", "directions")}
     images = _Images(training, keep=False)
     table = images.weighed(maps["reflectance"].permute(2, 0, 1)).unflatten(1, (1 + components, 3))
     table = table.permute(3, 1, 0, 2)  # cluster, row, sample, colour

@@ -12,6 +12,7 @@ from torchmat.fitting.models.linear import design_of
 from torchmat.fitting.models.lobe import LobeProblem, by_differences, fit_lobe, lobe_limits
 from torchmat.fitting.models.streamed import Moments, solve_texels, stream_means, stream_moments
 from torchmat.fitting.recipe import Recipe, Rung
+from torchmat.fitting.shared import Shared
 from torchmat.fitting.training import Fitted, Training
 from torchmat.metrics import relative
 from torchmat.models import PhongSrf
@@ -53,7 +54,7 @@ def fit_phong_srf(
     design = design_of(training, residual, ridge)
     moments = stream_moments(training.btf, design, training.used, training.dtype, training.progress)
     lobe = LOBES[base]
-    parameters, reason, figures = training.shared.get("lobe"), CLOSED_FORM, {}
+    parameters, reason, figures = training.table("lobe"), CLOSED_FORM, {}
     if parameters is None:
         means, left_out = _common_means(training, moments)
         parameters, reason, errors = _global_lobe(training, means, lobe, phong)
@@ -65,7 +66,7 @@ def fit_phong_srf(
     maps = {"lobe": parameters.to(training.dtype), "residual": solved.coefficients.flatten(0, 1)}
     material = PhongSrf(maps, residual=residual, base=base, storage=storage)
     figures = {"lobe": material.parameters_by_name, **figures}
-    return Fitted(material, reason, solved.coverage, figures, shared={"lobe": parameters})
+    return Fitted(material, reason, solved.coverage, figures, shared=Shared({"lobe": parameters}))
 
 
 def _common_means(training: Training, moments: Moments) -> tuple[Tensor, int]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import torch
@@ -14,6 +15,7 @@ from torchmat.errors import FitError, check_option, message
 from torchmat.fitting.models.lobe import by_differences, fit_lobe, lobe_limits
 from torchmat.fitting.models.streamed import solve_texels, stream_means, stream_moments
 from torchmat.fitting.recipe import Recipe
+from torchmat.fitting.shared import Shared
 from torchmat.fitting.training import Fitted, Training
 from torchmat.metrics import relative
 from torchmat.models import ShadingMap
@@ -41,6 +43,13 @@ _ANCHOR = 0.1  # weight of the brightness being that of the images, beside their
 _STEPS, _TOLERANCE = 60, 1e-7
 
 
+@dataclass(frozen=True)
+class ShadingMapShared(Shared):
+    """What all texels share: the lobe among the tables, and the images' `means` [sample, 3]."""
+
+    means: Tensor | None = None
+
+
 def fit_shading_map(
     training: Training, *, slices: int = SLICES, brdf: str = "phong", overflow: str = "clamp", azimuths: int = 1,
     joint: bool = True, storage: str = "half",
@@ -59,8 +68,10 @@ def fit_shading_map(
     check_option(_WHERE, "brdf", brdf, ANALYTIC)
     check_option(_WHERE, "overflow", overflow, OVERFLOWS)
     lobe = ANALYTIC[brdf]
-    means, parameters, reason = training.shared.get("means"), training.shared.get("lobe"), CLOSED_FORM
-    if parameters is None:
+    known, reason = training.shared, CLOSED_FORM
+    if isinstance(known, ShadingMapShared):
+        means, parameters = known.means, known.tables["lobe"]
+    else:
         means, parameters, reason = _global_brdf(training, lobe, slices if joint else 0)
     used = training.used
     if joint:
@@ -73,7 +84,7 @@ def fit_shading_map(
         "lobe": material.parameters_by_name, "brightest": float(brightest),
         "brightness_error": _error_of(_brightness(training, lobe, parameters)[used], means.mean(dim=1)[used]),
     }
-    return Fitted(material, reason, coverage, figures, shared={"means": means, "lobe": parameters})
+    return Fitted(material, reason, coverage, figures, shared=ShadingMapShared({"lobe": parameters}, means=means))
 
 
 def _global_brdf(training: Training, lobe: Lobe, slices: int) -> tuple[Tensor, Tensor, str]:
@@ -243,4 +254,4 @@ def _curves(training: Training, rows: Tensor, means: Tensor) -> Tensor:
 
 
 # Slices are sorted by the brightness that the BRDF gives: moving it deals the samples out anew, which has no slope.
-SHADING_MAP = Recipe(ShadingMap, fit_shading_map, descends=False, compared=("", "brdf=ggx,azimuths=4"))
+SHADING_MAP = Recipe(ShadingMap, fit_shading_map, shared=ShadingMapShared, descends=False, compared=("", "brdf=ggx,azimuths=4"))

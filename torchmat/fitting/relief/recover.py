@@ -7,8 +7,10 @@ that agrees best with both (a screened Poisson equation), found over again as th
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import torch
@@ -48,14 +50,30 @@ class _Spent(Exception):
     """Raised where the seconds of a recovery are over."""
 
 
-class Recovery(NamedTuple):
-    """The relief, its height over the plane of the images, and `figures` that say how it was found.
+@dataclass(frozen=True)
+class Recovery:
+    """The relief, its height over the plane of the images, and how it was found.
 
-    Their `stop_reason` is "converged", or "budget spent" where the seconds did not suffice for all of the search.
+    `scale` is what the slopes of photometric stereo were multiplied with and `offset` the mean height, which
+    `scale_from` says the source of; `disagreement` is that of the images on the relief, `disagreement_flat` on a flat
+    surface, None where no views were compared. `stop_reason` is "converged", or "budget spent" where the seconds did
+    not suffice for all of the search.
     """
 
     relief: Relief
-    figures: dict[str, Any]
+    method: str
+    scale: float
+    offset: float
+    scale_from: str
+    stop_reason: str = CONVERGED
+    disagreement: float | None = None
+    disagreement_flat: float | None = None
+    images_compared: int | None = None
+
+    def figures(self) -> dict[str, Any]:
+        """Return what a report says of it."""
+        found = {one.name: getattr(self, one.name) for one in dataclasses.fields(self) if one.name != "relief"}
+        return {name: value for name, value in found.items() if value is not None}
 
 
 def recover_relief(training: Training) -> Recovery:
@@ -70,10 +88,10 @@ def recover_relief(training: Training) -> Recovery:
     then: from fewer views, with what was found by that time, and flat where that is not so much as an offset.
     """
     found = _stereo(training)
-    figures: dict[str, Any] = {"method": "photometric stereo", "offset": 0.0, "scale": 1.0, "stop_reason": CONVERGED}
     until = _SHARE * training.watch.limit
     if not _has_parallax(training):
-        return Recovery(found, figures | {"scale_from": "photometric stereo: too few views, or too close to each other, for parallax"})
+        source = "photometric stereo: too few views, or too close to each other, for parallax"
+        return Recovery(found, "photometric stereo", 1.0, 0.0, source)
     captured = capture(training)
     size = captured.images.shape[-2:]
     slopes = slopes_from_normals(found.normal)
@@ -81,26 +99,26 @@ def recover_relief(training: Training) -> Recovery:
     start = _shrink(found.height, size).float()  # views are compared in single precision, whatever the fit runs in
     captured, flat = _in_time(captured, start, training.watch, until)
     scale, offset, best = _search(captured, start - start.mean(), flat, training.progress, training.watch, until)
-    figures |= {"method": "photometric stereo and views", "scale": scale, "offset": offset, "disagreement_flat": flat}
-    figures["scale_from"] = "agreement of the views"
-    figures["images_compared"] = len(captured.images)
-    figures["stop_reason"] = BUDGET if training.watch.seconds >= until else CONVERGED
-    level = {"scale": 0.0, "offset": 0.0, "disagreement": flat}
+    level = Recovery(
+        _flattened(found), "photometric stereo and views", 0.0, 0.0, "agreement of the views",
+        BUDGET if training.watch.seconds >= until else CONVERGED, flat, flat, len(captured.images),
+    )
     if scale == 0 or best > _GAIN * flat:
-        return Recovery(_flattened(found), figures | level)
+        return level
     height = scale * (start - start.mean()) + offset
     for _ in progress(range(_REFINEMENTS), "refining the height", show=training.progress):
         if training.watch.seconds >= until:
-            figures["stop_reason"] = BUDGET
+            level = replace(level, stop_reason=BUDGET)
             break
         height = _refined(captured, height, coarse)
-    figures["disagreement"] = agreement(captured, height).error
+    reached = agreement(captured, height).error
     # Between texels interpolation averages noise away, which the search takes for agreement: refined, it is gone.
-    if figures["disagreement"] > _GAIN * flat:
-        return Recovery(_flattened(found), figures | level)
+    if reached > _GAIN * flat:
+        return level
     if tuple(size) != tuple(found.height.shape[-2:]):
         height = _sharpened(height, _Slopes(slopes, found.confidence, training.tiles))
-    return Recovery(found._replace(height=height.to(found.height.dtype)), figures)
+    relief = found._replace(height=height.to(found.height.dtype))
+    return replace(level, relief=relief, scale=scale, offset=offset, disagreement=reached)
 
 
 def recover_geometry(

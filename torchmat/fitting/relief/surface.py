@@ -174,7 +174,8 @@ def ambient_and_usual(surface: Surface) -> tuple[Tensor, Tensor]:
         dark_weight += shadowed.sum(dim=0)
         bright_weight += exposed.sum(dim=0)
     own = bright / bright_weight.clamp(min=1e-6)
-    usual = surface.training.shared.get("usual_ambient")
+    known = surface.training.shared
+    usual = None if known is None else known.usual_ambient
     if usual is None:
         with one_thread():
             shadowed = dark.sum() / dark_weight.sum().clamp(min=1e-6)

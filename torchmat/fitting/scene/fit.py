@@ -16,6 +16,7 @@ from torchmat.fitting.fewer_texels import averaged
 from torchmat.fitting.geometry import Flat, Geometry, Given, Recover
 from torchmat.fitting.on_relief import fit_with_geometry
 from torchmat.fitting.recipes import AUTO
+from torchmat.fitting.scene.share import SceneShare
 from torchmat.fitting.training import Fitted, Training
 from torchmat.models.cutout import Cutout
 from torchmat.scene_use import SceneUse
@@ -69,12 +70,11 @@ def fit_for_scene(
     cutout = Cutout(*(choice.window or (0, 0, btf.height, btf.width)), btf.height, btf.width, training.tiles)
     if choice.window is not None or choice.level:
         fitted = replace(fitted, material=fitted.material.cut_from(cutout))
-    figures = {
-        "samples": len(choice.rows), "samples_share": share, "texels": math.prod(size),
-        "texels_share": cutout.height * cutout.width / (btf.height * btf.width), "halved": choice.level,
-        "window": choice.window, "outside_measured_share": choice.outside,
-    }
-    return replace(fitted, figures={**fitted.figures, "scene": figures})
+    texels_share = cutout.height * cutout.width / (btf.height * btf.width)
+    found = SceneShare(
+        len(choice.rows), share, math.prod(size), texels_share, choice.level, choice.window, choice.outside,
+    )
+    return replace(fitted, scene=found)
 
 
 def _check_together(config: FitConfig, work: str | Path | None) -> None:

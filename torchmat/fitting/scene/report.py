@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Any
 
 import torch
@@ -10,6 +11,7 @@ from torch import Tensor
 from torchmat.btf import Btf, Split
 from torchmat.btf.interpolated import RawBtf
 from torchmat.fitting.evaluate import sample_errors
+from torchmat.fitting.training import Fitted
 from torchmat.metrics import relative
 from torchmat.models import Material
 from torchmat.scene_use import SceneUse
@@ -18,17 +20,19 @@ _POINTS = 20_000
 
 
 def scene_figures(
-    btf: Btf, material: Material, split: Split, use: SceneUse, tiles: bool, measure: bool, progress: bool | None
+    btf: Btf, fitted: Fitted, split: Split, use: SceneUse, tiles: bool, measure: bool, progress: bool | None
 ) -> dict[str, Any]:
-    """Return bytes, and with `measure` the relative errors of a material that was fitted for a scene.
+    """Return what a fit for a scene looked at, bytes, and with `measure` the relative errors of its material.
 
     `bytes` is what is stored, `whole_bytes` what the same maps would take for the whole texture at the images'
     resolution. `inside_points` is the error at points of the scene against the measured images, interpolated, each
     counting as it is used; `inside_held_out` that on held-out samples, each counting as it is used;
     `outside_held_out` that on those which the scene does not use: what was given up. None where there are none.
     """
+    material = fitted.material
     per_texel, shared = material.bytes_per_texel, material.shared_bytes
     found: dict[str, Any] = {
+        **dataclasses.asdict(fitted.scene),
         "bytes": round(per_texel * material.texels) + shared,
         "whole_bytes": round(per_texel * btf.height * btf.width) + shared,
     }

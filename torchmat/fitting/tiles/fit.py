@@ -54,7 +54,8 @@ def join_tiles(plan: TilePlan, parts: Iterable[TilePart]) -> Fitted:
     join = recipe_of(plan.model).tiling.join
     if join is not None:
         maps |= join({**plan.template.maps, **maps})
-    figures = {**plan.figures, "tiles": {**plan.figures["tiles"], "count": count}}
+    tiles = {"side": plan.side, "texels_for_what_is_shared": plan.shared_from, "count": count}
+    figures = {**plan.figures, "tiles": tiles}
     material = plan.template.with_maps(**{name: value.detach() for name, value in maps.items()})
     return Fitted(material, _overall(reasons), coverage, figures, plan.relief)
 

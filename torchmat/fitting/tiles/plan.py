@@ -20,6 +20,7 @@ from torchmat.fitting.relief.recover import recover_relief
 from torchmat.fitting.relief.surface import Sight, look_along
 from torchmat.fitting.relief.window import Window
 from torchmat.fitting.tiles.memory import choose_side, most_texels, require_recovery
+from torchmat.fitting.shared import Shared
 from torchmat.fitting.training import Fitted, Training
 from torchmat.geometry import Relief
 from torchmat.models import Material
@@ -36,20 +37,21 @@ _PLANNING = 0.25  # of the seconds that a fit may take
 class TilePlan:
     """What a tile's fit needs besides its texels, the same for all tiles.
 
-    `shared` is what all texels have in common and `template` a material of the few that it was found on; `height`
+    `shared` is what all texels have in common, found on `shared_from` of them, and `template` a material of those; `height`
     [1, H, W] the relief of all (None: flat), `relief` how it was recovered. `side` is a tile's, `size` the whole's.
     """
 
     model: str
     options: dict[str, Any]
     template: Material
-    shared: dict[str, Any]
+    shared: Shared
     side: int
     size: tuple[int, int]
     reason: str
     figures: dict[str, Any]
     height: Tensor | None = None
     relief: Relief | None = None
+    shared_from: int = 0
     kept: dict[str, Sight] = field(default_factory=dict, repr=False, compare=False)
 
     @property
@@ -118,9 +120,9 @@ def plan_tiles(
         options, fitted = recipe.tiling.settle(options, fitted)
     side = choose_side(training, model, fitted.material, height is not None, tile, memory_mb)
     texels = -(-btf.height // step) * -(-btf.width // step)
-    figures = {**fitted.figures, **found, "tiles": {"side": side, "texels_for_what_is_shared": texels}}
+    figures = {**fitted.figures, **found}
     size, reason = (btf.height, btf.width), fitted.stop_reason
-    plan = TilePlan(model, options, fitted.material, fitted.shared, side, size, reason, figures, height, relief)
+    plan = TilePlan(model, options, fitted.material, fitted.shared, side, size, reason, figures, height, relief, texels)
     if sight is not None:
         plan.kept["sight"] = sight
     return plan
@@ -142,7 +144,8 @@ def _height(
     if isinstance(geometry, Flat):
         return None, None, {}
     require_recovery(memory_mb)
-    relief, figures = recover_relief(training)
+    recovery = recover_relief(training)
+    relief, figures = recovery.relief, recovery.figures()
     chosen = "flat"
     if float(relief.height.abs().max()) > 0 and not training.watch.spent:
         small, height = _reduced(training, relief.height)

@@ -18,6 +18,7 @@ from torch import Tensor
 from torchmat.atomic import building_file, refuse_foreign
 from torchmat.errors import DataError, message
 from torchmat.fitting.geometry import Geometry, Given
+from torchmat.fitting.recipe import recipe_of
 from torchmat.fitting.relief.window import Window
 from torchmat.fitting.tiles.plan import TilePart, TilePlan
 from torchmat.fitting.training import Training
@@ -25,7 +26,7 @@ from torchmat.geometry import Relief
 from torchmat.machine import versions
 from torchmat.models import MATERIALS
 
-_FORMAT = 1
+_FORMAT = 2
 _KEY, _PLAN = "fit.json", "plan.npz"
 _NAMES = re.compile(r"fit\.json|plan\.npz|tile-\d{6}\.npz|\.(fit\.json|plan\.npz|tile-\d{6}\.npz)\.building-.*")
 _HEADER = "header"
@@ -140,7 +141,8 @@ def _read(path: Path, key: str) -> tuple[dict[str, Any], dict[str, Tensor]] | No
 def _pieces_of(plan: TilePlan) -> tuple[dict[str, Any], dict[str, Tensor]]:
     template = plan.template
     tensors = {f"template.{name}": value for name, value in template.maps.items()}
-    tensors |= {f"shared.{name}": value for name, value in plan.shared.items() if isinstance(value, Tensor)}
+    shared, numbers = plan.shared.pieces()
+    tensors |= {f"shared.{name}": value for name, value in shared.items()}
     if plan.height is not None:
         tensors["height"] = plan.height
     for name, value in (plan.relief._asdict() if plan.relief else {}).items():
@@ -148,7 +150,7 @@ def _pieces_of(plan: TilePlan) -> tuple[dict[str, Any], dict[str, Tensor]]:
             tensors[f"relief.{name}"] = value
     header = {
         "model": plan.model, "options": plan.options, "side": plan.side, "size": list(plan.size), "reason": plan.reason,
-        "figures": plan.figures, "numbers": {n: v for n, v in plan.shared.items() if not isinstance(v, Tensor)},
+        "figures": plan.figures, "numbers": numbers, "shared_from": plan.shared_from,
         "template": {"options": template.options, "storage": template.storage, "tiles": template.tiles},
     }
     return header, tensors
@@ -162,8 +164,8 @@ def _plan_of(header: dict[str, Any], tensors: dict[str, Tensor]) -> TilePlan:
     settings = header["template"]
     template = kind(group("template."), storage=settings["storage"], tiles=settings["tiles"], **settings["options"])
     relief = group("relief.")
+    shared = recipe_of(header["model"]).shared.from_pieces(group("shared."), header["numbers"])
     return TilePlan(
-        header["model"], header["options"], template, {**group("shared."), **header["numbers"]}, header["side"],
-        tuple(header["size"]), header["reason"], header["figures"], tensors.get("height"),
-        Relief(**relief) if relief else None,
+        header["model"], header["options"], template, shared, header["side"], tuple(header["size"]), header["reason"],
+        header["figures"], tensors.get("height"), Relief(**relief) if relief else None, header["shared_from"],
     )

@@ -15,7 +15,9 @@ import torch
 from torch import Tensor
 
 from torchmat.fitting.models.distribution.options import DistributionOptions
-from torchmat.fitting.models.distribution.parameters import BLOCK_VALUES, Parts, group_texels, maps_of, raw_maps, to_one
+from torchmat.fitting.models.distribution.parameters import (
+    BLOCK_VALUES, DistributionShared, Parts, group_texels, maps_of, raw_maps, to_one,
+)
 from torchmat.fitting.models.distribution.start import find_starts, mean_value
 from torchmat.fitting.relief.refine import refine_height
 from torchmat.fitting.relief.surface import Surface, bring_onto
@@ -93,7 +95,7 @@ class _Fit:
 
     def run(self) -> Fitted:
         training = self.surface.training
-        self.level = training.shared.get("level") or mean_value(self.surface)
+        self.level = mean_value(self.surface) if training.shared is None else training.shared.level
         starts = find_starts(self.surface, self.level)
         parts, pilots = self._choose(starts)
         raw = self._begin(starts, parts)
@@ -126,12 +128,11 @@ class _Fit:
         """Return the parameters at the start, in a hurried fit with what only adds light as bright as the data."""
         training = self.surface.training
         raw = raw_maps(starts, parts, self.options.specular_size, training)
-        for name in ("specular", "tilt"):
-            if name in training.shared and name in raw:
-                self.known[name] = training.shared[name]
-                del raw[name]
+        if training.shared is not None:
+            self.known = {name: value for name, value in training.shared.parameters.items() if name in raw}
+            raw = {name: value for name, value in raw.items() if name not in self.known}
         hurried = self.options.effort < _HURRIED or math.isfinite(training.watch.limit)
-        if hurried and not training.shared and self._values_of_an_entry(raw) >= _FEWEST_VALUES:
+        if hurried and training.shared is None and self._values_of_an_entry(raw) >= _FEWEST_VALUES:
             self._brighten(raw, parts)
         return raw
 
@@ -165,15 +166,16 @@ class _Fit:
         """Images of one batch; texels that share nothing unknown take the same steps whatever others are fitted with them."""
         training = self.surface.training
         texels = training.btf.height * training.btf.width
-        return _FEWEST_IMAGES if training.shared else max(_FEWEST_IMAGES, _BATCH_VALUES // texels)
+        alone = training.shared is not None
+        return _FEWEST_IMAGES if alone else max(_FEWEST_IMAGES, _BATCH_VALUES // texels)
 
-    def _shared(self, raw: dict[str, Tensor], parts: Parts, starts: dict[str, Tensor]) -> dict[str, Any]:
+    def _shared(self, raw: dict[str, Tensor], parts: Parts, starts: dict[str, Tensor]) -> DistributionShared:
         """Return what other texels of the material need: the unit, the specular maps, and what groups texels."""
         training = self.surface.training
-        if training.shared:
-            return dict(training.shared)
-        shared = {"level": self.level, **{name: raw[name] for name in ("specular", "tilt") if name in raw}}
-        return shared if parts.lobes < 2 else shared | {"groups": group_texels(starts["features"], parts.lobes, training.seed)}
+        if training.shared is not None:
+            return training.shared
+        groups = None if parts.lobes < 2 else group_texels(starts["features"], parts.lobes, training.seed)
+        return DistributionShared(level=self.level, log_specular=raw.get("specular"), logit_tilt=raw.get("tilt"), groups=groups)
 
     @property
     def darkest(self) -> float:
@@ -282,7 +284,7 @@ class _Fit:
             texels = training.btf.height * training.btf.width
             found = minibatch(
                 parameters, objective, lambda generator: training.drawn(samples, generator), rates=rates, steps=steps,
-                batch=self._images, seed=training.seed, eps=_LEAST_GRADIENT / texels if training.shared else 1e-8, **settings,
+                batch=self._images, seed=training.seed, eps=_LEAST_GRADIENT / texels if training.shared is not None else 1e-8, **settings,
             )
         elif solver == "adam":
             found = adam(parameters, objective, rates=rates, steps=max(1, steps // _FEWER["adam"]), **settings)
@@ -307,7 +309,7 @@ class _Fit:
     def _material(self, raw: dict[str, Tensor], parts: Parts) -> Distribution:
         maps = maps_of(raw | self.known)
         ambient = maps.pop("ambient")
-        if not self.surface.training.shared:  # else other texels share the maps, and say what is the most
+        if self.surface.training.shared is None:  # else other texels share the maps, and say what is the most
             maps |= to_one(maps)
         if self.height is not None:
             maps |= {"height": self.height, "ambient": ambient}

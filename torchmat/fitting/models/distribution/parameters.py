@@ -12,6 +12,7 @@ from torch import Tensor
 from torchmat import colour, safe
 from torchmat.btf import Btf
 from torchmat.fitting.relief.surface import Surface
+from torchmat.fitting.shared import Shared
 from torchmat.fitting.training import Training
 from torchmat.frames import half_vector, tangent_frame
 from torchmat.geometry import normals_from_slopes
@@ -42,6 +43,31 @@ class Parts:
         return ["normal", *there] if self.normal else there
 
 
+@dataclass(frozen=True)
+class DistributionShared(Shared):
+    """What all texels of a distribution material have in common, as its fit turns it.
+
+    `level` is the mean value of the data, `groups` what groups its texels (`group_texels`), `log_specular` and
+    `logit_tilt` the parameters of the tables; None is a part that is not there.
+    """
+
+    level: float = 1.0
+    log_specular: Tensor | None = None
+    logit_tilt: Tensor | None = None
+    groups: Tensor | None = None
+
+    @property
+    def parameters(self) -> dict[str, Tensor]:
+        """The parameters of the tables by the names of their maps."""
+        found = {"specular": self.log_specular, "tilt": self.logit_tilt}
+        return {name: value for name, value in found.items() if value is not None}
+
+    @property
+    def specular(self) -> Tensor:
+        """The specular maps, in the scale in which masks of several fits compare."""
+        return maps_of({"specular": self.parameters["specular"]})["specular"]
+
+
 def sample_runs(btf: Btf) -> list[slice]:
     """Return runs of samples, each of few enough values to be worked on at once."""
     step = max(1, BLOCK_VALUES // (3 * btf.height * btf.width))
@@ -70,7 +96,7 @@ def raw_maps(starts: dict[str, Tensor], parts: Parts, size: int, training: Train
     there = {"diffuse", "ambient", *parts.names} | ({"specular"} if parts.lobes else set())
     raw = {name: value for name, value in raw.items() if name in there or (name == "slopes" and parts.normal)}
     if parts.lobes > 1:
-        groups = training.shared.get("groups")
+        groups = None if training.shared is None else training.shared.groups
         if groups is None:
             groups = group_texels(starts["features"], parts.lobes, training.seed)
         raw["index"] = _start_index(starts["features"], parts.lobes, groups)

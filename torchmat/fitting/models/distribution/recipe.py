@@ -6,7 +6,7 @@ from typing import Any
 
 from torchmat.fitting.models.distribution.fit import fit_distribution, fit_distribution_on_relief
 from torchmat.fitting.models.distribution.options import DISTRIBUTION_SOLVERS
-from torchmat.fitting.models.distribution.parameters import to_one
+from torchmat.fitting.models.distribution.parameters import DistributionShared, to_one
 from torchmat.fitting.recipe import Ladder, Part, Recipe, Tiling
 from torchmat.fitting.training import Fitted
 from torchmat.models import Distribution
@@ -15,10 +15,10 @@ from torchmat.models.edit import without_idle_parts
 
 def _settle(options: dict[str, Any], fitted: Fitted) -> tuple[dict[str, Any], Fitted]:
     """Return options that leave nothing to decide, and the fit with specular maps of the scale that tiles take."""
-    parts, lobes = fitted.figures["parts"], fitted.figures["lobes"]
+    parts, lobes = (fitted.material.options[name] for name in ("parts", "lobes"))
     chosen = {part: "yes" if part in parts else "no" for part in ("fresnel", "rotation", "tilt")}
     if lobes:
-        fitted = fitted.with_material(fitted.material.with_maps(specular=fitted.shared["specular"].exp()))
+        fitted = fitted.with_material(fitted.material.with_maps(specular=fitted.shared.specular))
     return {**options, "lobes": lobes, **chosen}, fitted
 
 
@@ -41,5 +41,6 @@ DISTRIBUTION = Recipe(
     Distribution, fit_distribution, solvers=DISTRIBUTION_SOLVERS, solvers_differ=True, ladder=_LADDER, on_relief=fit_distribution_on_relief,
     # What a relief is worth shows long before the last step.
     quick={"lobes": 1, "fresnel": "yes", "rotation": "yes", "effort": 0.15},
+    shared=DistributionShared,
     tiling=Tiling(4096, _settle, to_one, bytes_per_texel=24_000, holds_samples=True),
 )

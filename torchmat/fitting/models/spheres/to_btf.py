@@ -16,6 +16,7 @@ from torchmat.fitting.models.lobe import fit_lobe
 from torchmat.fitting.models.spheres.problem import Shape, SphereProblem
 from torchmat.fitting.models.streamed import stream_means
 from torchmat.fitting.recipe import Recipe
+from torchmat.fitting.shared import Shared
 from torchmat.fitting.training import Fitted, Training
 from torchmat.models.sphere_images import PAPER_ANGLES_DEG, SphereImages, below_each_other, paper_turn, render_spheres
 from torchmat.repeatable import add_product
@@ -44,13 +45,13 @@ def fit_sphere_images_to_btf(
             raise RangeError(message("fit sphere_images", name, f"be at least {least} and finite", f"it is {value}"))
     dtype = training.dtype
     angles = [number * _LAST_DEG / (pictures - 1) for number in range(pictures)]
-    images, reason, figures = training.shared.get("images"), CLOSED_FORM, {}
+    images, reason, figures = training.table("images"), CLOSED_FORM, {}
     if images is None:
         images, reason, figures = _pictures(training, angles, size, base, smoothness)
     maps = {"images": images, "turn": paper_turn(dtype), "tint": torch.ones(3, 1, 1, dtype=dtype)}
     homogeneous = SphereImages(maps, angles_deg=angles, storage=storage)
     tint, coverage = _tint(training, homogeneous)
-    return Fitted(homogeneous.with_maps(tint=tint), reason, coverage, figures, shared={"images": images})
+    return Fitted(homogeneous.with_maps(tint=tint), reason, coverage, figures, shared=Shared({"images": images}))
 
 
 def _pictures(
