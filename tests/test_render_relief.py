@@ -7,7 +7,7 @@ import torch
 from tests.models.examples import make
 from tests.support import assert_close
 
-from torchmat.geometry.relief import texel_centres
+from torchmat.geometry.rays import texel_centres
 from torchmat.models import Lambert, Texture
 from torchmat.rendering import render
 

@@ -8,14 +8,30 @@ from __future__ import annotations
 
 import difflib
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 
 import torch
 
 _LONGEST = 600  # letters of a fact; more is the content of a damaged file
 
+
 class TorchmatError(Exception):
-    """Base of all errors that the package raises on purpose."""
+    """Base of all errors that the package raises on purpose; `map` names the map of a material that is at fault."""
+
+    def __init__(self, *arguments: object, map: str | None = None) -> None:
+        super().__init__(*arguments)
+        self.map = map
+
+
+@contextmanager
+def about_map(name: str) -> Iterator[None]:
+    """Let errors that are raised in the block say that they are about the map `name`."""
+    try:
+        yield
+    except TorchmatError as error:
+        error.map = error.map or name
+        raise
 
 
 class ShapeError(TorchmatError, ValueError):

@@ -40,7 +40,7 @@ def compare() -> list[dict[str, Any]]:
             continue
         btf = tm.load_btf(path)
         tm.compare(btf, ["texture"], progress=False)  # warms up
-        rows = tm.compare(btf, _QUICK, repeats=_REPEATS) + tm.compare(btf, slow, budget=_BUDGET)
+        rows = tm.compare(btf, _QUICK, repeats=_REPEATS) + tm.compare(btf, slow, budget=_BUDGET, geometry="flat")
         rows = mark_fronts(rows)
         print(f"\n{data}\n{comparison_table(rows)}", flush=True)
         _draw(rows, data)

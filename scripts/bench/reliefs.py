@@ -16,7 +16,7 @@ from torchmat.fitting import recover_geometry
 from torchmat.geometry import photometric_stereo, relief_from_photographs, soft_shadow, trace_view
 from torchmat.models import Distribution
 from torchmat.models.distribution import default_tilt
-from torchmat.report.compare import parse_model
+from torchmat.report.comparison import parse_model
 
 REFERENCES = ("stones", "leather", "wallpaper", "weave_ubo2003", "disk")
 MODELS = (

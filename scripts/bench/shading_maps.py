@@ -12,7 +12,7 @@ from torchmat.btf.btf import Btf
 from torchmat.models import ShadingMap
 from torchmat.models.base import combine
 from torchmat.models.shading_map import assemble, layer_weights, look_up_layer
-from torchmat.report.compare import parse_model
+from torchmat.report.comparison import parse_model
 
 _SETS = {
     "real wallpaper": "real/ubo2003_wallpaper", "lion's head (RTI)": "real/loewenkopf_rti",

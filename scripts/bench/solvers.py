@@ -30,7 +30,7 @@ _SAMPLES = 480  # held-out ones that the error is measured on: of a few, chance 
 _CASES = {
     "phong_srf": {}, "phong_srf:residual=half_light": {"residual": "half_light"}, "hsh": {}, "ptm": {}, "lptm": {}, "lambert": {},
     "texture": {}, "sphere_images": {},
-    "distribution": {"lobes": 1, "fresnel": "yes", "rotation": "yes"},
+    "distribution": {"lobes": 1, "fresnel": True, "rotation": True},
 }
 _DATA = ("leather", "wallpaper")
 _DRAWN = (("leather", "phong_srf"), ("leather", "distribution"))

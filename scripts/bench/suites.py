@@ -25,7 +25,7 @@ from torchmat.btf import Btf
 from torchmat.fitting.recipe import RECIPES
 from torchmat.fitting.recipes import resolve_options
 from torchmat.fitting.training import make_training
-from torchmat.report.compare import closed_forms, parse_model
+from torchmat.report.comparison import closed_forms, parse_model
 
 _WALLPAPER = SHARED / "real" / "ubo2003_wallpaper"
 _SEEDS = range(5)

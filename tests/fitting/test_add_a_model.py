@@ -70,7 +70,7 @@ def test_it_is_optimised_by_default_and_not_left_at_its_start(truth, registered,
 
 def test_it_works_on_a_relief_by_tiles_in_compare_on_disk_and_in_pictures(truth, registered, tmp_path):
     btf = truth[1]
-    tiled = tm.fit(btf, registered, tile=3, steps=400, progress=False)
+    tiled = tm.fit(btf, registered, tile_size=3, steps=400, progress=False)
     assert tiled.report["figures"]["tiles"]["count"] == 4 and tiled.report["held_out"]["psnr_db"] > 30
     rows = tm.compare(btf, ["lambert", f"{registered}:steps=60"], progress=False)
     assert rows[1]["failed"] is None if "failed" in rows[1] else rows[1]["psnr_db"] > rows[0]["psnr_db"]
@@ -136,7 +136,7 @@ def test_wrong_registrations_say_what_to_give(registered):
 @pytest.mark.parametrize(("given", "error", "words"), [
     ({"solver": "closed_form"}, RangeError, "solver"), ({"step": 3}, RangeError, "steps"), ({"keep": "roughness"}, RangeError, "list of names"),
     ({"keep": ("roughnes",)}, RangeError, "roughness"), ({"keep": ("diffuse", "reflectance", "roughness")}, RangeError, "leave a map to fit"),
-    ({"steps": -1}, RangeError, "steps"), ({"geometry": "recover"}, RangeError, "geometry"), ({"tile": 4}, RangeError, "tile"),
+    ({"steps": -1}, RangeError, "steps"), ({"geometry": "recover"}, RangeError, "geometry"), ({"tile_size": 4}, RangeError, "tile_size"),
     ({"rate": float("inf")}, RangeError, "rate"), ({"psnr": 30}, RangeError, "psnr"), ({"dtype": torch.float64}, RangeError, "dtype"),
 ])
 def test_wrong_wishes_for_a_material_are_refused(truth, given, error, words):

@@ -106,7 +106,7 @@ def test_a_height_map_is_taken_as_it_is():
 
 
 def test_the_distribution_material_is_built_part_by_part(monkeypatch):
-    some = [Part("rotation", 2, {"rotation": "yes"}), Part("Fresnel", 1, {"fresnel": "yes"}), Part("3 lobes", 3, {"lobes": 3})]
+    some = [Part("rotation", 2, {"rotation": True}), Part("Fresnel", 1, {"fresnel": True}), Part("3 lobes", 3, {"lobes": 3})]
     data.with_parts(monkeypatch, some)
     result = tm.fit(data.glossy(data.colours(6)), "auto", psnr=60, geometry="flat")
     tried = [row["candidate"] for row in rows_of(result) if row["candidate"].startswith("distribution")]
@@ -208,7 +208,7 @@ def test_seconds_end_the_climb(monkeypatch):
     ({"psnr": 25, "error": 0.1}, "must not be wanted together"),
     ({"psnr": -3}, "psnr must be a positive number"),
     ({"psnr": 25, "geometry": "relief"}, "geometry must be one of"),
-    ({"psnr": 25, "tile": 4}, "the choice must be made on all texels at once; tile, memory_mb or work is given"),
+    ({"psnr": 25, "tile_size": 4}, "the choice must be made on all texels at once; tile_size, memory_mb or work is given"),
 ])
 def test_what_cannot_be_wanted(wanted, said):
     with pytest.raises(RangeError, match=said):

@@ -12,7 +12,7 @@ from torchmat.fitting.choice import parts
 from torchmat.fitting.recipe import RECIPES, Part
 
 A, B, C, TWO, THREE = (
-    Part("a", 1, {"a": "yes"}), Part("b", 1, {"b": "yes"}), Part("c", 1, {"c": "yes"}), Part("2 lobes", 2, {"lobes": 2}),
+    Part("a", 1, {"a": True}), Part("b", 1, {"b": True}), Part("c", 1, {"c": True}), Part("2 lobes", 2, {"lobes": 2}),
     Part("3 lobes", 1, {"lobes": 3}),
 )
 

@@ -19,7 +19,7 @@ from torchmat import Btf
 CASES = {
     "texture": ("texture", {}), "lambert": ("lambert", {}), "ptm": ("ptm", {}), "lptm": ("lptm", {}),
     "hsh4": ("hsh", {"terms": 4}), "hsh9": ("hsh", {"terms": 9}), "hsh16": ("hsh", {"terms": 16}),
-    "distribution": ("distribution", {"lobes": 2, "fresnel": "yes", "rotation": "yes", "specular_size": 12, "effort": 0.01}),
+    "distribution": ("distribution", {"geometry": "flat", "lobes": 2, "fresnel": True, "rotation": True, "specular_size": 12, "effort": 0.01}),
     "sphere_images": ("sphere_images", {}), "shading_map": ("shading_map", {}), "pca": ("pca", {}), "local_pca": ("local_pca", {"clusters": 4, "components": 4}),
     **{
         f"phong_srf_{residual}_{way}_{base}": ("phong_srf", {"residual": residual, "phong": way, "base": base})
@@ -28,7 +28,7 @@ CASES = {
             ("half", "per_light", "ashikhmin_shirley"),
         )
     },
-    "neural": ("neural", {"hidden": 12, "effort": 0.002}),
+    "neural": ("neural", {"geometry": "flat", "hidden": 12, "effort": 0.002}),
     "phong_srf_no_ridge": ("phong_srf", {"residual": "half_light", "ridge": 0.0}),
 }
 

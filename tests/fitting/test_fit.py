@@ -24,8 +24,8 @@ EXTRA_KEYS = {
 FIGURES = {"mse", "relative_error", "psnr_db", "psnr_log_db", "ssim", "delta_e"}
 OPTIONS = {
     "pca": {"components": 4}, "local_pca": {"clusters": 3, "components": 2},
-    "distribution": {"lobes": 1, "fresnel": "no", "rotation": "no", "specular_size": 8, "effort": 0.05},
-    "neural": {"latent": 4, "hidden": 8, "effort": 0.01},
+    "distribution": {"geometry": "flat", "lobes": 1, "fresnel": False, "rotation": False, "specular_size": 8, "effort": 0.05},
+    "neural": {"geometry": "flat", "latent": 4, "hidden": 8, "effort": 0.01},
 }
 LIGHT, VIEW = all_pairs(hemisphere(), hemisphere(((0, 1), (30, 5), (60, 5))))
 

@@ -28,8 +28,8 @@ LIGHTS, VIEWS = hemisphere(), hemisphere(((0, 1), (30, 5), (60, 7)))
 WEIGHING = ("texture", "lambert", "ptm", "lptm", "hsh", "phong_srf", "pca", "shading_map", "sphere_images")
 SMALL = {
     "pca": {"components": 3}, "local_pca": {"components": 2, "clusters": 2}, "sphere_images": {"size": 12},
-    "distribution": {"lobes": 1, "effort": 0.02, "specular_size": 12, "fresnel": "no", "rotation": "no"},
-    "neural": {"effort": 0.02},
+    "distribution": {"geometry": "flat", "lobes": 1, "effort": 0.02, "specular_size": 12, "fresnel": False, "rotation": False},
+    "neural": {"geometry": "flat", "effort": 0.02},
 }
 
 
@@ -258,7 +258,7 @@ def test_one_view_says_how_much_lies_outside():
 
 
 def test_contradictions_are_told(btf, scene, tmp_path):
-    for given in ({"tile": 8}, {"memory_mb": 100}, {"work": tmp_path / "work"}):
+    for given in ({"tile_size": 8}, {"memory_mb": 100}, {"work": tmp_path / "work"}):
         with pytest.raises(RangeError, match="come without tiles"):
             fit(btf, "texture", scene=scene, **given)
     with pytest.raises(RangeError, match="name its model"):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 import torch
@@ -53,3 +55,46 @@ def test_a_file_that_is_not_there_is_named():
         resolve_geometry("absent.exr")
     with pytest.raises(RangeError, match="height map"):
         resolve_geometry(object())
+
+
+QUICK = {"lobes": 1, "fresnel": False, "rotation": False, "specular_size": 8, "effort": 0.01, "measure": False, "progress": False}
+
+
+def test_a_model_that_is_made_for_relief_recovers_it_unasked():
+    btf = relief_scene().btf()
+    unasked, asked = (tm.fit(btf, "distribution", **QUICK, **more) for more in ({}, {"geometry": "recover"}))
+    for result in (unasked, asked):
+        assert result.report["geometry"] == "recover" and result.report["figures"]["geometry"]["chosen"] == "recover"
+    assert torch.equal(unasked.material.maps["height"], asked.material.maps["height"])
+    assert torch.equal(unasked.material.maps["diffuse"], asked.material.maps["diffuse"])
+    assert tm.fit(btf, "ptm", measure=False).report["geometry"] == "flat"
+    assert FitConfig(model="distribution").geometry_word == FitConfig(model="neural").geometry_word == "recover"
+    assert FitConfig(model="ptm").geometry_word == "flat" and FitConfig(model="auto").geometry_word == "auto"
+
+
+@pytest.mark.parametrize("more", [{}, {"tile_size": 16}])
+def test_where_nothing_can_be_recovered_only_an_explicit_wish_is_an_error(more):
+    scene = relief_scene()
+    leaning = scene.view[:, 2] < 0.6  # 53 degrees and more: photometric stereo has no view to start from
+    btf = tm.Btf.from_tensors(scene.images[leaning].astype(np.float32), scene.light[leaning], scene.view[leaning])
+    report = tm.fit(btf, "distribution", **QUICK, **more).report
+    assert report["figures"]["geometry"]["chosen"] == "flat"
+    assert "view within 45 degrees" in report["figures"]["geometry"]["not_recovered"]
+    with pytest.raises(tm.FitError, match="view within 45 degrees"):
+        tm.fit(btf, "distribution", geometry="recover", **QUICK, **more)
+
+
+def test_a_comparison_takes_a_height_map_and_leaves_each_model_its_own_way(height_file):
+    path, height = height_file
+    btf = relief_scene().btf()
+    rows = tm.compare(btf, ["ptm", "ptm:geometry=flat", f"texture:geometry={path}"], geometry=height, curves=False, progress=False)
+    assert [row["geometry"] for row in rows] == ["given", "flat", "given"]
+    assert rows[0]["relative_error"] < rows[1]["relative_error"]
+    with pytest.raises(RangeError, match="recover"):
+        tm.compare(btf, ["ptm:geometry=recvoer"])
+
+
+def test_a_recipe_names_a_geometry_that_there_is():
+    recipe = tm.fitting.recipe.recipe_of("ptm")
+    with pytest.raises(RangeError, match="geometry must be one of 'flat', 'recover'"):
+        dataclasses.replace(recipe, geometry="recvoer")

@@ -43,7 +43,7 @@ def test_what_another_network_made_is_found_again():
         for light, view in zip(LIGHT, VIEW, strict=True)
     ])
     btf = Btf.from_tensors(images.astype(np.float32), LIGHT, VIEW)
-    result = tm.fit(btf, "neural", effort=0.06, latent=4, hidden=16, storage="float")
+    result = tm.fit(btf, "neural", geometry="flat", effort=0.06, latent=4, hidden=16, storage="float")
     left_by_the_mean = float(np.square(images - images.mean(axis=0)).sum() / np.square(images).sum())
     # Measured 1.1e-3 after 720 steps.
     assert result.report["held_out"]["relative_error"] < min(2e-3, left_by_the_mean / 20)
@@ -55,17 +55,17 @@ def test_a_budget_ends_the_fit_with_its_rate_run_down(monkeypatch):
     from torchmat.solvers import clock as watch
 
     monkeypatch.setattr(watch.time, "perf_counter", lambda: next(clock) * 1e-3)
-    result = tm.fit(plausible(), "neural", seconds=0.2, effort=100.0, **SMALL)
+    result = tm.fit(plausible(), "neural", geometry="flat", seconds=0.2, effort=100.0, **SMALL)
     assert result.stop_reason == "budget spent"
     assert 10 < result.report["figures"]["adam_steps"] < 200
     assert result.report["held_out"]["relative_error"] < 0.8  # measured 0.54; black would leave 1
 
 
 def test_the_curve_is_measured_on_held_out_samples_as_the_fit_goes_on():
-    result = tm.fit(plausible(), "neural", effort=0.02, curve=True, **SMALL)
+    result = tm.fit(plausible(), "neural", geometry="flat", effort=0.02, curve=True, **SMALL)
     seconds, errors = zip(*result.report["curve"], strict=True)
     assert list(seconds) == sorted(seconds) and errors[-1] < 0.2 * errors[0]
-    plain = tm.fit(plausible(), "neural", effort=0.02, measure=False, **SMALL)
+    plain = tm.fit(plausible(), "neural", geometry="flat", effort=0.02, measure=False, **SMALL)
     assert same_bits(result, plain)  # measuring changes nothing
 
 
@@ -73,14 +73,14 @@ def test_the_curve_is_measured_on_held_out_samples_as_the_fit_goes_on():
 def test_a_step_far_too_large_ends_in_a_named_reason_with_the_best_so_far(monkeypatch, rate, reason):
     monkeypatch.setattr(neural, "_RATE", rate)
     monkeypatch.setattr(neural, "_LATENT_RATE", rate)
-    result = tm.fit(plausible(), "neural", effort=0.02, measure=False, **SMALL)
+    result = tm.fit(plausible(), "neural", geometry="flat", effort=0.02, measure=False, **SMALL)
     assert result.stop_reason == reason
     assert all(bool(torch.isfinite(value).all()) for value in maps_of(result).values())
 
 
 def test_the_unit_of_the_data_changes_nothing():
     # 4^6 and its root are powers of two, which no rounding sees.
-    one, other = (tm.fit(plausible(scale), "neural", effort=0.01, measure=False, **SMALL) for scale in (1.0, 4.0**6))
+    one, other = (tm.fit(plausible(scale), "neural", geometry="flat", effort=0.01, measure=False, **SMALL) for scale in (1.0, 4.0**6))
     assert torch.equal(maps_of(one)["latent"], maps_of(other)["latent"])
     assert torch.equal(maps_of(one)["layer_2"] * 64, maps_of(other)["layer_2"])
 
@@ -110,7 +110,7 @@ def test_more_images_than_memory_is_meant_for_take_turns(monkeypatch):
         return honest(self, rows)
 
     monkeypatch.setattr(neural._Fit, "_decode", counted)
-    result = tm.fit(plausible(), "neural", effort=0.01, **SMALL)
+    result = tm.fit(plausible(), "neural", geometry="flat", effort=0.01, **SMALL)
     assert max(map(len, fills)) == 20 and len(set.union(*fills)) > 150 and len(fills) > 20
     assert result.report["held_out"]["relative_error"] < 0.3
 
@@ -118,7 +118,7 @@ def test_more_images_than_memory_is_meant_for_take_turns(monkeypatch):
 def test_many_texels_are_dealt_into_groups_and_come_back_in_place(monkeypatch):
     monkeypatch.setattr(neural, "_FEWEST_TEXELS", 16)
     btf = plausible(size=(9, 11))
-    result = tm.fit(btf, "neural", effort=0.03, storage="float", measure=False, **SMALL)
+    result = tm.fit(btf, "neural", geometry="flat", effort=0.03, storage="float", measure=False, **SMALL)
     every = torch.arange(len(btf))
     means = [images.mean(dim=(0, 1)).flatten() for images in (predict(result.material, btf, every), btf.images(every))]
     # Every texel has its own albedo; texels out of place would not correlate at all.
@@ -132,4 +132,4 @@ def test_many_texels_are_dealt_into_groups_and_come_back_in_place(monkeypatch):
 ])
 def test_options_that_make_no_sense_are_refused(options, said):
     with pytest.raises(RangeError, match=said):
-        tm.fit(plausible(), "neural", **options)
+        tm.fit(plausible(), "neural", geometry="flat", **options)

@@ -20,7 +20,7 @@ from torchmat.geometry import Relief
 OPTIONS = {
     "pca": {"components": 8}, "local_pca": {"clusters": 4, "components": 4},
     "distribution": {
-        "lobes": 1, "fresnel": "no", "rotation": "no", "specular_size": 8, "effort": 0.05, "storage": "half",
+        "lobes": 1, "fresnel": False, "rotation": False, "specular_size": 8, "effort": 0.05, "storage": "half",
     },
     "neural": {"latent": 4, "hidden": 12, "effort": 0.03, "storage": "half"},
 }

@@ -31,8 +31,8 @@ def btf():
 
 @pytest.fixture(scope="module")
 def fitted(btf):
-    options = {"lobes": 1, "fresnel": "no", "rotation": "no", "effort": 0.05, "specular_size": 8}
-    return tm.fit(btf, "distribution", measure=False, **options).material
+    options = {"lobes": 1, "fresnel": False, "rotation": False, "effort": 0.05, "specular_size": 8}
+    return tm.fit(btf, "distribution", geometry="flat", measure=False, **options).material
 
 
 def begun(btf, material, kept=()):

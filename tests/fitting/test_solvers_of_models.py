@@ -15,7 +15,7 @@ from torchmat.fitting.models.unbounded import Unbounded
 from torchmat.fitting.training import make_training
 from torchmat.models.bases import BASES
 from torchmat.models.lobes import LOBES
-from torchmat.report.compare import parse_model
+from torchmat.report.comparison import parse_model
 from torchmat.solvers.stop_reasons import BUDGET, CONVERGED, STEP_LIMIT
 
 DIRECTIONS = hemisphere(((0, 1), (30, 4), (60, 6)))
@@ -126,25 +126,29 @@ def test_15_bits_repeat_with_one_thread_and_with_two(solver):
 
 @pytest.mark.parametrize("solver", ["adam", "lbfgs"])
 def test_the_distribution_takes_every_solver(solver):
-    options = {"lobes": 1, "fresnel": "no", "rotation": "no", "specular_size": 8, "effort": 0.2, "progress": False}
-    result = tm.fit(small(), "distribution", solver=solver, **options)
+    options = {"lobes": 1, "fresnel": False, "rotation": False, "specular_size": 8, "effort": 0.2, "progress": False}
+    result = tm.fit(small(), "distribution", geometry="flat", solver=solver, **options)
     assert result.stop_reason in (STEP_LIMIT, CONVERGED) and result.report["held_out"]["relative_error"] < 0.05
 
 
-@pytest.mark.parametrize("left_out", [("specular",), ("normal",), ("specular_mask",), ("normal", "specular_mask")])
+@pytest.mark.parametrize("left_out", [("lobes",), ("normal",), ("specular_mask",), ("normal", "specular_mask")])
 def test_the_distribution_leaves_parts_out(left_out):
-    options = dict.fromkeys(left_out, "no")
-    options |= {} if "specular" in left_out else {"lobes": 1, "fresnel": "no", "rotation": "no"}
-    material = tm.fit(small(), "distribution", specular_size=8, effort=0.02, measure=False, progress=False, **options).material
-    gone = {*left_out} | ({"specular_mask"} if "specular" in left_out else set())
+    options = {"lobes": 1, "fresnel": False, "rotation": False, **dict.fromkeys(left_out, False)}
+    options |= {"lobes": 0} if "lobes" in left_out else {}
+    material = tm.fit(small(), "distribution", geometry="flat", specular_size=8, effort=0.02, measure=False, progress=False, **options).material
+    gone = {*left_out} | ({"specular", "specular_mask"} if "lobes" in left_out else set())
     assert not gone & set(material.maps) and "diffuse" in material.maps
-    with pytest.raises(RangeError, match="fresnel must be left out without specular maps"):
-        tm.fit(small(), "distribution", specular="no", fresnel="yes")
+    with pytest.raises(RangeError, match="fresnel must be left out without lobes"):
+        tm.fit(small(), "distribution", geometry="flat", lobes=0, fresnel=True)
+    with pytest.raises(RangeError, match="fresnel must be true or false, or 'auto'"):
+        tm.fit(small(), "distribution", fresnel="yes")
+    with pytest.raises(RangeError, match="lobes must be a whole number, or 'auto'"):
+        tm.fit(small(), "distribution", lobes=True)
 
 
 def test_the_distribution_finds_a_tilt():
     material = tm.fit(
-        small(), "distribution", lobes=1, fresnel="no", rotation="no", tilt="yes", specular_size=8, effort=0.05, measure=False,
+        small(), "distribution", geometry="flat", lobes=1, fresnel=False, rotation=False, tilt=True, specular_size=8, effort=0.05, measure=False,
         progress=False,
     ).material
     assert material.maps["tilt"].shape == (1, 1, 91) and bool((material.maps["tilt"] > 0).all())

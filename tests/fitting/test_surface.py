@@ -217,6 +217,7 @@ def test_without_shadow_only_lit_samples_count_and_are_made_whole():
     expected = (before - shadowed.numpy()) / np.maximum(lit, 0.5)
     assert_close(torch.from_numpy(found), torch.from_numpy(expected), 1e-12)
     assert torch.equal(bare.btf.light, surface.training.btf.light) and bool(bare.used.all())
+    assert np.array_equal(surface.pixels, before) and np.array_equal(surface.flags, flags)
 
 
 @pytest.mark.parametrize("options", [{}, {"tiles": False, **WIDE}])

@@ -31,7 +31,7 @@ from torchmat.fitting.training import make_training
 OPTIONS = {
     "pca": {"components": 6}, "local_pca": {"clusters": 3, "components": 3}, "sphere_images": {"size": 12},
     "distribution": {
-        "lobes": 2, "fresnel": "yes", "rotation": "yes", "tilt": "yes", "specular_size": 8, "effort": 0.005,
+        "geometry": "flat", "lobes": 2, "fresnel": True, "rotation": True, "tilt": True, "specular_size": 8, "effort": 0.005,
         "storage": "half",
     },
 }
@@ -49,7 +49,7 @@ def btf_of(height: int = 22, width: int = 19) -> Btf:
 
 def fitted(model: str, tile: int, btf: Btf | None = None, **more):
     options = {"dtype": torch.float64, "measure": False, **OPTIONS.get(model, {}), **more}
-    return tm.fit(btf or btf_of(), model, tile=tile, **options)
+    return tm.fit(btf or btf_of(), model, tile_size=tile, **options)
 
 
 def compare(found, whole, bound: float) -> None:
@@ -168,16 +168,16 @@ def test_too_little_memory_says_how_much_is_needed():
         tm.fit(btf_of(), "texture", memory_mb=900, geometry="recover")
     needed = tile_memory._PROGRAM_MB + tile_memory._BLOCKS_MB + 20
     with pytest.raises(RangeError, match="tile must fit into"):
-        tm.fit(btf_of(), "texture", memory_mb=needed, tile=4000)
+        tm.fit(btf_of(), "texture", memory_mb=needed, tile_size=4000)
 
 
 def test_what_fits_all_texels_at_once_is_refused():
     with pytest.raises(RangeError, match="network"):
-        tm.fit(btf_of(), "neural", tile=8)
+        tm.fit(btf_of(), "neural", tile_size=8)
     with pytest.raises(RangeError, match="solver must suit tiles; it is 'lbfgs'"):
-        tm.fit(btf_of(), "phong_srf", tile=8, solver="lbfgs")
+        tm.fit(btf_of(), "phong_srf", tile_size=8, solver="lbfgs")
     with pytest.raises(RangeError, match="solver must suit tiles; it is 'adam'"):
-        tm.fit(btf_of(), "distribution", tile=8, solver="adam")
+        tm.fit(btf_of(), "distribution", tile_size=8, solver="adam")
 
 
 def test_a_long_side_is_one_row_of_tiles():
@@ -189,10 +189,10 @@ def test_a_long_side_is_one_row_of_tiles():
 def test_recovered_geometry_is_shared_by_all_tiles():
     scene = relief_scene()
     whole = tm.fit(scene.btf(), "lambert", geometry="recover", measure=False)
-    found = tm.fit(scene.btf(), "lambert", geometry="recover", measure=False, tile=9)
+    found = tm.fit(scene.btf(), "lambert", geometry="recover", measure=False, tile_size=9)
     assert found.report["figures"]["geometry"]["chosen"] == whole.report["figures"]["geometry"]["chosen"] == "recover"
     compare(found.material, whole.material, 1e-4)
-    flat = tm.fit(glossy_scene().btf(), "texture", geometry="recover", measure=False, tile=9)
+    flat = tm.fit(glossy_scene().btf(), "texture", geometry="recover", measure=False, tile_size=9)
     assert not flat.material.has_relief
 
 
@@ -217,7 +217,7 @@ run_to_the_end({work!r})
 
 
 def run_to_the_end(work: str | Path):
-    return tm.fit(btf_of(), "phong_srf", tile=8, work=work, seed=2)
+    return tm.fit(btf_of(), "phong_srf", tile_size=8, work=work, seed=2)
 
 
 def test_a_killed_run_goes_on_and_gives_the_same_bits(tmp_path, monkeypatch):
@@ -250,7 +250,7 @@ def begun(work: Path, monkeypatch, **more) -> None:
     """Leave a folder in which all tiles of a fit are done and the fit is not."""
     with monkeypatch.context() as patch:
         patch.setattr(sys.modules["torchmat.fitting.fit"], "clear_work", lambda path: None)
-        tm.fit(btf_of(), "phong_srf", tile=8, work=work, measure=False, **more)
+        tm.fit(btf_of(), "phong_srf", tile_size=8, work=work, measure=False, **more)
 
 
 @pytest.mark.parametrize("damage", ["cut", "zeros", "turned", "empty", "json"])
@@ -266,7 +266,7 @@ def test_a_damaged_file_is_made_again(tmp_path, monkeypatch, name, damage):
     (work / name).write_bytes(wrong[damage])
     if name == "fit.json" and damage == "turned":
         return  # another text is another key: see the next test
-    found, whole = (tm.fit(btf_of(), "phong_srf", tile=8, work=at, measure=False) for at in (work, None))
+    found, whole = (tm.fit(btf_of(), "phong_srf", tile_size=8, work=at, measure=False) for at in (work, None))
     assert all(torch.equal(found.material.maps[name], value) for name, value in whole.material.maps.items())
     assert not work.exists()
 
@@ -276,11 +276,11 @@ def test_the_folder_of_another_fit_is_refused(tmp_path, monkeypatch):
     begun(work, monkeypatch)
     kept = {path.name: path.read_bytes() for path in work.iterdir()}
     height = torch.linspace(0, 0.01, 22 * 19).reshape(1, 22, 19)
-    for other in ({"seed": 5}, {"residual": "quadratic"}, {"tile": 9}, {"tiles": False}, {"geometry": height}):
+    for other in ({"seed": 5}, {"residual": "quadratic"}, {"tile_size": 9}, {"tiles": False}, {"geometry": height}):
         with pytest.raises(DataError, match="be of this fit"):
-            tm.fit(btf_of(), "phong_srf", **{"tile": 8, "work": work, **other})
+            tm.fit(btf_of(), "phong_srf", **{"tile_size": 8, "work": work, **other})
     with pytest.raises(DataError, match="be of this fit"):
-        tm.fit(btf_of(22, 20), "phong_srf", tile=8, work=work)
+        tm.fit(btf_of(22, 20), "phong_srf", tile_size=8, work=work)
     assert {path.name: path.read_bytes() for path in work.iterdir()} == kept
 
 
@@ -342,6 +342,6 @@ def test_the_command_goes_on_where_it_was(tmp_path, capsys):
 
 
 def test_a_config_names_tile_and_memory():
-    assert FitConfig("ptm", tile=64, memory_mb=2000).tile == 64
+    assert FitConfig("ptm", tile_size=64, memory_mb=2000).tile_size == 64
     with pytest.raises(RangeError, match="tile"):
-        FitConfig("ptm", tile=-1)
+        FitConfig("ptm", tile_size=-1)

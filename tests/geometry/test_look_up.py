@@ -9,7 +9,7 @@ import pytest
 import torch
 from tests.support import assert_close
 
-from torchmat.geometry.relief import look_up, texel_centres
+from torchmat.geometry.rays import look_up, texel_centres
 
 SIZES = [(5, 7), (8, 3), (1, 6), (6, 1), (1, 1), (2, 2)]
 MODES = ["bilinear", "bicubic", "nearest"]

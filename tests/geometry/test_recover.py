@@ -14,7 +14,7 @@ from torchmat.cli import main
 from torchmat.errors import DataError, RangeError, ShapeError
 from torchmat.geometry import Relief, relief_from_photographs, relief_from_picture
 from torchmat.images import read_image, write_image
-from torchmat.material_io.relief import save_relief
+from torchmat.material_io.relief_folder import save_relief
 
 LIGHTS = hemisphere(((0, 1), (30, 6), (55, 8)))
 

@@ -11,7 +11,7 @@ from tests.reference import relief as oracle
 
 from torchmat.errors import RangeError, ShapeError
 from torchmat.geometry import clearance, relief, soft_shadow, trace_view, visible
-from torchmat.geometry.relief import texel_centres
+from torchmat.geometry.rays import texel_centres
 
 
 def unit(x: float, y: float, z: float, dtype=torch.float64) -> torch.Tensor:

@@ -51,9 +51,9 @@ def small_options(model: str, samples: int, texels: int, thorough: bool = False)
         return {"clusters": min(2, texels), "components": min(2, texels, 3 * samples)}
     if model == "distribution":  # few steps: that nothing breaks shows at once
         effort = 0.1 if thorough else 0.01
-        return {"lobes": 1, "fresnel": "yes", "rotation": "yes", "specular_size": 8, "effort": effort}
+        return {"geometry": "flat", "lobes": 1, "fresnel": True, "rotation": True, "specular_size": 8, "effort": effort}
     if model == "neural":
-        return {"latent": 2, "hidden": 4, "effort": 0.02 if thorough else 0.002}
+        return {"geometry": "flat", "latent": 2, "hidden": 4, "effort": 0.02 if thorough else 0.002}
     return {}
 
 

@@ -49,8 +49,8 @@ def fits() -> dict[str, tuple[str, dict[str, Any]]]:
 
     small = {
         "pca": {"components": 4}, "local_pca": {"clusters": 3, "components": 3},
-        "distribution": {"lobes": 1, "fresnel": "yes", "rotation": "yes", "specular_size": 8, "effort": 0.02},
-        "neural": {"latent": 2, "hidden": 4, "effort": 0.01},
+        "distribution": {"geometry": "flat", "lobes": 1, "fresnel": True, "rotation": True, "specular_size": 8, "effort": 0.02},
+        "neural": {"geometry": "flat", "latent": 2, "hidden": 4, "effort": 0.01},
     }
     found = {model: (model, small.get(model, {})) for model in RECIPES}
     variants = {

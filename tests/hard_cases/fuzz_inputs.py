@@ -23,7 +23,7 @@ from tests.rendering.mesh_files import SQUARE, SQUARE_UV, TWO, glb_of, put_obj, 
 import torchmat as tm
 from torchmat.geometry import Relief
 from torchmat.material_io.packing import pack
-from torchmat.material_io.relief import save_relief
+from torchmat.material_io.relief_folder import save_relief
 from torchmat.models.storage import StoredAs
 
 MADE = (1_700_000_000, 1_700_000_000)  # when files were made: by it a store in the cache knows its source again

@@ -118,7 +118,7 @@ class Iterative(Fitting):
 
     component = "distribution fit, write_fit"
     model = "distribution"
-    settings = {"lobes": 1, "fresnel": "no", "rotation": "no", "specular_size": 8, "effort": 0.01}
+    settings = {"geometry": "flat", "lobes": 1, "fresnel": False, "rotation": False, "specular_size": 8, "effort": 0.01}
 
 
 class Pictures(Fitting):

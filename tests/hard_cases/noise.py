@@ -20,7 +20,7 @@ from torchmat.fitting import evaluate
 RINGS = ((0, 1), (22, 5), (42, 7), (62, 9))
 MODELS = {
     "lambert": {}, "ptm": {}, "phong_srf": {"residual": "half_light"},
-    "distribution": {"lobes": 1, "fresnel": "no", "rotation": "no", "specular_size": 16, "effort": 0.15},
+    "distribution": {"geometry": "flat", "lobes": 1, "fresnel": False, "rotation": False, "specular_size": 16, "effort": 0.15},
 }
 
 

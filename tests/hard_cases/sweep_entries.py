@@ -13,7 +13,7 @@ from tests.hard_cases import oracles as exact
 from tests.hard_cases.sweeps import Entry, Interval
 
 from torchmat import colour, frames, safe
-from torchmat.geometry import normals, relief
+from torchmat.geometry import normals, rays
 from torchmat.geometry.photometric_stereo import lights_from_ball
 
 ANY, UNIT = Interval(), Interval(-1, 1)
@@ -59,7 +59,7 @@ def _middles(planes):
 
 def _look_up(u, v):
     maps = torch.tensor(exact.MAP, dtype=u.dtype)[None, None]
-    return relief.look_up(maps, torch.stack((u, v), dim=1)[:, :, None, None])[:, 0, 0, 0][None]
+    return rays.look_up(maps, torch.stack((u, v), dim=1)[:, :, None, None])[:, 0, 0, 0][None]
 
 
 def _rays(call):
@@ -75,12 +75,12 @@ def _rays(call):
 
 
 def _traced(height, view, uv):
-    hits = relief.trace_view(height, view, uv)
+    hits = rays.trace_view(height, view, uv)
     return torch.cat((hits.uv, hits.height), dim=1)[:, :, 0, 0].T
 
 
 def _visible(height, view, uv):
-    return relief.visible(height, view)[:, 0, 0, :1].T.to(height.dtype)
+    return rays.visible(height, view)[:, 0, 0, :1].T.to(height.dtype)
 
 
 def _angles(*columns):
@@ -276,8 +276,8 @@ ENTRIES: dict[str, Entry | str] = {
         0,
         0,
     ),
-    "geometry.relief.texel_centres": "takes whole numbers",
-    "geometry.relief.look_up": Entry(
+    "geometry.rays.texel_centres": "takes whole numbers",
+    "geometry.rays.look_up": Entry(
         _look_up,
         exact.look_up(),
         (ANY, ANY),
@@ -285,15 +285,15 @@ ENTRIES: dict[str, Entry | str] = {
         scale="terms",
         gradient=None,
     ),
-    "geometry.relief.ray_slope": Entry(
-        lambda *d: _flat(relief.ray_slope(_planes(*d), 2, 4)),
+    "geometry.rays.ray_slope": Entry(
+        lambda *d: _flat(rays.ray_slope(_planes(*d), 2, 4)),
         exact.ray_slope(_FLATTEST),
         _ABOVE,
         scale="largest",
         gradient_scale="largest",
         prepare=_units,
     ),
-    "geometry.relief.trace_view": Entry(
+    "geometry.rays.trace_view": Entry(
         _rays(_traced),
         exact.trace_view(_FLATTEST),
         _ABOVE,
@@ -302,23 +302,23 @@ ENTRIES: dict[str, Entry | str] = {
         share=0.5,
         prepare=_units,
     ),
-    "geometry.relief.clearance": Entry(
-        _rays(lambda h, d, uv: relief.clearance(h, d, uv)[:, 0, 0].T),
+    "geometry.rays.clearance": Entry(
+        _rays(lambda h, d, uv: rays.clearance(h, d, uv)[:, 0, 0].T),
         exact.clearance(_FLATTEST),
         _ABOVE,
         gradient_scale="value",
         share=0.5,
         prepare=_units,
     ),
-    "geometry.relief.soft_shadow": Entry(
-        _rays(lambda h, d, uv: relief.soft_shadow(h, d, uv=uv)[:, 0, 0].T),
+    "geometry.rays.soft_shadow": Entry(
+        _rays(lambda h, d, uv: rays.soft_shadow(h, d, uv=uv)[:, 0, 0].T),
         exact.soft_shadow(_FLATTEST),
         (UNIT, UNIT, UNIT),
         share=0.5,
         gradient_scale="value",
         prepare=_units,
     ),
-    "geometry.relief.visible": Entry(_rays(_visible), lambda info, *d: (1,), _ABOVE, 0, None, share=0.5),
+    "geometry.rays.visible": Entry(_rays(_visible), lambda info, *d: (1,), _ABOVE, 0, None, share=0.5),
     "geometry.integrate.frankot_chellappa": "solves for a whole map: conditioning.py",
     "geometry.integrate.poisson": "solves for a whole map: conditioning.py",
     "geometry.photometric_stereo.check_lights": "a check",
@@ -331,7 +331,7 @@ ENTRIES: dict[str, Entry | str] = {
         gradient_scale="largest",
     ),
     "geometry.photometric_stereo.find_highlight": "searches a picture",
-    "geometry.recover.relief_from_photographs": "a chain of the others",
-    "geometry.recover.relief_from_stereo": "a chain of the others",
-    "geometry.recover.relief_from_picture": "a chain of the others",
+    "geometry.from_photographs.relief_from_photographs": "a chain of the others",
+    "geometry.from_photographs.relief_from_stereo": "a chain of the others",
+    "geometry.from_photographs.relief_from_picture": "a chain of the others",
 }

@@ -23,8 +23,8 @@ from mpmath import mpf
 from torch import Tensor
 
 ROOMS = (
-    "safe", "frames", "colour", "geometry.normals", "geometry.relief", "geometry.integrate",
-    "geometry.photometric_stereo", "geometry.recover",
+    "safe", "frames", "colour", "geometry.normals", "geometry.rays", "geometry.integrate",
+    "geometry.photometric_stereo", "geometry.from_photographs",
 )
 DTYPES = (torch.float32, torch.float64)
 _STEP = mpf(2) ** -80

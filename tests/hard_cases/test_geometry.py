@@ -17,11 +17,11 @@ import torchmat as tm
 from torchmat import Btf, FitError, RangeError, ShapeError
 from torchmat.fitting import RECIPES, predict, recover_geometry
 from torchmat.geometry import normals_from_slopes, poisson, slopes_from_height, soft_shadow, trace_view, visible
-from torchmat.geometry.relief import texel_centres
+from torchmat.geometry.rays import texel_centres
 
 OPTIONS = {
     "pca": {"components": 2}, "local_pca": {"clusters": 2, "components": 2},
-    "distribution": {"lobes": 1, "fresnel": "yes", "rotation": "yes", "specular_size": 8, "effort": 0.02},
+    "distribution": {"lobes": 1, "fresnel": True, "rotation": True, "specular_size": 8, "effort": 0.02},
     "neural": {"latent": 2, "hidden": 4, "effort": 0.002},
 }
 LIGHT, VIEW = all_pairs(hemisphere(), hemisphere(((0, 1), (30, 3), (60, 4))))

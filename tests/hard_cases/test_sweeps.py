@@ -17,7 +17,7 @@ from tests.support import assert_close
 
 from torchmat import colour, frames, safe
 from torchmat.brdf.analytic import ANALYTIC
-from torchmat.geometry.relief import ray_slope
+from torchmat.geometry.rays import ray_slope
 from torchmat.models.shading_map import layer_weights, sector_weights
 
 

@@ -27,7 +27,7 @@ from torchmat.geometry.normals import normals_from_height
 from torchmat.images import read_image
 from torchmat.material_io import load_material, save_material
 from torchmat.material_io.packing import pack, packed, unpack
-from torchmat.material_io.relief import DEPTHS, save_relief
+from torchmat.material_io.relief_folder import DEPTHS, save_relief
 from torchmat.models.storage import STORAGES
 from torchmat.rendering.files import write_picture
 from torchmat.report import write_fit

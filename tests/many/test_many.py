@@ -134,7 +134,7 @@ def test_a_job_that_kills_its_workers_says_so():
 
 def test_tiles_on_a_cluster_give_the_bits_of_one_process(shared, tmp_path):
     folder = write_btf(tmp_path / "large", 5, 21, 26)
-    config = FitConfig("phong_srf", {"residual": "half_light"}, tile=8)
+    config = FitConfig("phong_srf", {"residual": "half_light"}, tile_size=8)
     _, found = fit_by_tiles(Job(folder, config, tmp_path / "out", {"cache": False}))
     alone = fit(load_btf(folder, cache=False), config)
     assert same_bits(found.material, alone.material)

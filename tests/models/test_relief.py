@@ -18,8 +18,8 @@ from tests.support import TOLERANCE
 
 from torchmat import load_material, save_material
 from torchmat.errors import DataError, RangeError, ShapeError
-from torchmat.geometry import relief, soft_shadow, trace_view
-from torchmat.geometry.relief import texel_centres
+from torchmat.geometry import rays, soft_shadow, trace_view
+from torchmat.geometry.rays import texel_centres
 from torchmat.images import read_image, write_image
 from torchmat.models import MATERIALS, Lambert, Texture
 
@@ -357,7 +357,7 @@ def test_grazing_directions_are_finite(name, options, dtype, z):
 @pytest.fixture
 def exact_roots(monkeypatch):
     """Refine hits to the last bit, so that a difference of two values is not a difference of two rounding errors."""
-    monkeypatch.setattr(relief, "_REFINEMENTS", 80)
+    monkeypatch.setattr(rays, "_REFINEMENTS", 80)
 
 
 def _floats(material) -> list[str]:
@@ -432,7 +432,7 @@ def test_gradient_through_the_penumbra_matches_differences(how, exact_roots):
 @pytest.mark.parametrize("large", [True, False])
 def test_gradient_of_the_directions_matches_differences(needs, large, exact_roots, monkeypatch):
     # Neither a frozen height nor the shifted maps of a large one may lose the way back to light and view.
-    monkeypatch.setattr(relief, "_SHIFT_TEXELS", 1 if large else 10**9)
+    monkeypatch.setattr(rays, "_SHIFT_TEXELS", 1 if large else 10**9)
     material = on_waves("phong_srf", {"residual": "half", "base": "phong"})
     material.requires_grad_(needs)
     pair = [unit(0.3, -0.9, 0.32), unit(0.2, -0.3, 0.8)]

@@ -14,7 +14,7 @@ from torchmat import Btf, DataError, RangeError, ShapeError, load_btf, sample_pa
 from torchmat.btf.interpolated import RawBtf
 from torchmat.btf.neighbours import Triangulation
 from torchmat.frames import from_polar
-from torchmat.geometry.relief import texel_centres
+from torchmat.geometry.rays import texel_centres
 
 HEIGHT, WIDTH = 5, 4
 

@@ -13,7 +13,7 @@ from tests.support import all_pairs, hemisphere, plausible_images
 import torchmat as tm
 from torchmat import Btf, RangeError
 from torchmat.report import compare, write_comparison
-from torchmat.report.compare import closed_forms, default_models, parse_model
+from torchmat.report.comparison import closed_forms, default_models, parse_model
 from torchmat.report.compare_plots import PLOTS, write_plots
 from torchmat.report.compare_rows import entry_of, front, judged, mark_fronts
 from torchmat.report.place_labels import overlap, place

@@ -17,7 +17,7 @@ from torchmat.images import read_image, write_image
 from torchmat.models import Lptm
 from torchmat.models.storage import StoredAs
 from torchmat.report import write_fit
-from torchmat.report.decisions import decisions_picture, decisions_text, outcome_text, wanted_text
+from torchmat.report.decisions_page import decisions_picture, decisions_text, outcome_text, wanted_text
 from torchmat.report.describe import describe_material
 
 LIGHT, VIEW = all_pairs(hemisphere(((0, 1), (30, 5), (60, 6))), hemisphere(((0, 1), (50, 3))))

@@ -13,7 +13,7 @@ from tests.support import all_pairs, hemisphere, plausible_images
 import torchmat as tm
 from torchmat import Btf, DataError, RangeError
 from torchmat.report import compare, write_comparison, write_fit
-from torchmat.report.compare import parse_model
+from torchmat.report.comparison import parse_model
 from torchmat.report.describe import describe_btf, describe_material, is_material
 from torchmat.report.pictures import directions_picture, telling_samples
 from torchmat.report.tables import COMPARE_COLUMNS, number, text_table, to_json

@@ -24,8 +24,8 @@ class Compare:
     """Seconds that one fit may take: iterative solvers stop there with the best they have, and their rows say so."""
     repeats: int = 1
     """How often each model is fitted: seconds are the median, with their spread."""
-    geometry: str = "flat"
-    """flat or recover, for models that say nothing of it."""
+    geometry: str | None = None
+    """flat, recover or the path of a height map, for models that say nothing of it (default: each model's own way)."""
     curves: bool = True
     """Measure the error of iterative solvers as they go on."""
     out: Path | None = Path("comparison")
@@ -39,7 +39,7 @@ class Compare:
     read: Annotated[DataArguments, tyro.conf.arg(name="")] = field(default_factory=DataArguments)
 
     def run(self) -> None:
-        from torchmat.report.compare import default_models, check_target, compare, write_comparison
+        from torchmat.report.comparison import default_models, check_target, compare, write_comparison
         from torchmat.report.tables import comparison_table
 
         if self.out is not None:

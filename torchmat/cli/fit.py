@@ -37,7 +37,7 @@ class Fit:
         from torchmat.material_io import check_target
         from torchmat.rendering.scene_file import load_scene
         from torchmat.report import write_fit
-        from torchmat.report.decisions import outcome_text
+        from torchmat.report.decisions_page import outcome_text
         from torchmat.report.tables import fit_tables
 
         check_target(self.out)  # before the work, not after it

@@ -38,7 +38,7 @@ class Geometry:
     read: Annotated[DataArguments, tyro.conf.arg(name="")] = field(default_factory=DataArguments)
 
     def run(self) -> None:
-        from torchmat.material_io.relief import check_target, save_relief
+        from torchmat.material_io.relief_folder import check_target, save_relief
         from torchmat.report.pictures import relief_picture
 
         check_target(self.out)  # before the work, not after it

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from torchmat import colour, safe
 from torchmat.errors import RangeError, ShapeError, check_finite, message
-from torchmat.geometry.relief import texel_centres
+from torchmat.geometry.rays import texel_centres
 
 _MOST_COLOURS = 20_000  # texels that k-means sees: more do not move its centres
 _STARTS = 4

@@ -13,7 +13,8 @@ from typing import Any
 from torchmat.btf.split import HOLDOUT_WAYS
 from torchmat.errors import RangeError, check_known_keys, check_option, message
 from torchmat.fitting.data_settings import DATA_KEYS, check_data_settings
-from torchmat.fitting.geometry import check_word
+from torchmat.fitting.geometry import check_word, is_path
+from torchmat.fitting.recipe import recipe_of
 from torchmat.fitting.recipes import AUTO, resolve_options
 from torchmat.fitting.wanted import make_target
 from torchmat.text_file import read_toml
@@ -24,9 +25,9 @@ class FitConfig:
     """Everything that decides a fit, apart from the data itself.
 
     `options` are the model's; `geometry` is "flat", "recover", or the path of a height map; left out
-    it is "flat", and for the model "auto" it is "auto", which leaves the relief to the data;
+    it is the model's own way (`resolve_geometry`), and the model "auto" leaves the relief to the data;
     `target` holds what `Target` does: the wanted error and budgets of the model "auto", and the seconds of any other;
-    `tile` is the side of the tiles of texels that are fitted one after the other and `memory_mb` what a fit may take,
+    `tile_size` is the side of the tiles of texels that are fitted one after the other and `memory_mb` what a fit may take,
     0 is no wish for both; `data` are keywords of `load_btf`, used by the command line.
     """
 
@@ -38,17 +39,16 @@ class FitConfig:
     geometry: str | None = None
     tiles: bool = True
     target: dict[str, Any] = field(default_factory=dict)
-    tile: int = 0
+    tile_size: int = 0
     memory_mb: float = 0.0
     data: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        if self.geometry is None:
-            object.__setattr__(self, "geometry", AUTO if self.model == AUTO else "flat")
         resolve_options(self.model, self.options)
-        check_word("config", self.geometry, self.model == AUTO)
+        if self.geometry is not None:
+            check_word("config", self.geometry, self.model == AUTO)
         make_target("config [target]", self.target)
-        for name in ("tile", "memory_mb"):
+        for name in ("tile_size", "memory_mb"):
             if not 0 <= getattr(self, name) < math.inf:
                 step = "0 leaves it open."
                 raise RangeError(message("config", name, "be at least 0", f"it is {getattr(self, name)}", step))
@@ -62,6 +62,13 @@ class FitConfig:
             step = "It is the share that is held out; 0.2 is usual."
             raise RangeError(message("config", "holdout", "lie in [0, 1)", f"it is {self.holdout}", step))
 
+    @property
+    def geometry_word(self) -> str:
+        """What a report says of the geometry: flat, recover, given for a height map, or auto for the data's choice."""
+        if self.geometry is None:
+            return AUTO if self.model == AUTO else recipe_of(self.model).geometry
+        return "given" if is_path(self.geometry) else self.geometry
+
     def read_as(self, keywords: Mapping[str, Any]) -> FitConfig:
         """Return this config with keywords of `load_btf` in place of those of its `data`; those of the cache are none."""
         chosen = {name: value for name, value in keywords.items() if name in DATA_KEYS}
@@ -71,7 +78,7 @@ class FitConfig:
 def _typed(where: str, table: dict[str, Any]) -> dict[str, Any]:
     kinds = {
         "model": str, "options": dict, "holdout": (int, float), "holdout_by": str, "seed": int, "geometry": str,
-        "tiles": bool, "target": dict, "tile": int, "memory_mb": (int, float), "data": dict,
+        "tiles": bool, "target": dict, "tile_size": int, "memory_mb": (int, float), "data": dict,
     }
     for key, value in table.items():
         if not isinstance(value, kinds[key]) or (isinstance(value, bool) and kinds[key] is not bool):

@@ -18,7 +18,7 @@ from torchmat.progress import progress as progress_bar
 
 BAND_DEG = 15
 PERCEPTUAL_SAMPLES = 256  # SSIM and CIEDE2000 cost far more than the rest; an even choice of samples is enough
-PARTS = ("train", "held_out", "held_out_after_export")
+SPLITS = ("train", "held_out", "held_out_after_export")
 _TRAIN_SAMPLES = 512  # the training error is measured on at most so many samples, evenly chosen
 _VALUES = 1_000_000  # values of one batch: larger ones leave the processor's cache and take three times as long
 
@@ -90,7 +90,7 @@ def sample_errors(
 def evaluate_parts(
     btf: Btf, material: Material, split: Split, progress: bool | None = False
 ) -> tuple[dict[str, Any], Evaluation | None]:
-    """Return the figures of each of PARTS, None for what is not held out, and what was measured on held-out samples."""
+    """Return the figures of each of SPLITS, None for what is not held out, and what was measured on held-out samples."""
     report: dict[str, Any] = {"train": evaluate(material, btf, split.train, _TRAIN_SAMPLES, progress).report}
     held_out = evaluate(material, btf, split.held_out, None, progress) if len(split.held_out) else None
     report["held_out"] = held_out.report if held_out else None

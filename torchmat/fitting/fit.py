@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -16,10 +17,11 @@ from torchmat.btf import Btf, Split, split_samples
 from torchmat.errors import RangeError, message
 from torchmat.fitting.choice.choose import fit_auto
 from torchmat.fitting.config import FitConfig, load_config
-from torchmat.fitting.evaluate import PARTS, evaluate, evaluate_parts, shading_rate
+from torchmat.fitting.evaluate import SPLITS, evaluate, evaluate_parts, shading_rate
 from torchmat.fitting.from_material import descent_of, fit_from, kept_names
-from torchmat.fitting.geometry import Geometry, Given, resolve_geometry
+from torchmat.fitting.geometry import AUTO_RELIEF, RECOVER, Geometry, resolve_geometry
 from torchmat.fitting.on_relief import fit_with_geometry
+from torchmat.fitting.recipe import recipe_of
 from torchmat.fitting.recipes import AUTO, resolve_options
 from torchmat.fitting.scene.fit import fit_for_scene
 from torchmat.fitting.scene.report import scene_figures
@@ -63,14 +65,14 @@ def fit(
     holdout: float | None = None,
     holdout_by: str | None = None,
     seed: int | None = None,
-    geometry: Geometry | str | Path | Tensor | None = None,
+    geometry: Geometry | str | Path | Tensor | np.ndarray | None = None,
     tiles: bool | None = None,
     error: float | None = None,
     psnr: float | None = None,
     bytes: float | None = None,
     seconds: float | None = None,
     scene: SceneUse | Usable | Sequence[SceneUse | Usable] | None = None,
-    tile: int | None = None,
+    tile_size: int | None = None,
     memory_mb: float | None = None,
     work: str | Path | None = None,
     curve: bool = False,
@@ -85,10 +87,12 @@ def fit(
     not, whose maps then descend from what they are by `solver` ("minibatch", "adam" or "lbfgs"), so many `steps` at
     `rate`, those named in `keep` staying to the bit; a height and its ambient light stay as they are. `holdout` is the
     share of samples held out (0.2), `holdout_by` "pair", "light", "view" or "arc" (`split_samples`); both, `seed` (0),
-    `geometry`, `tiles` and the model's `options` (named as in the README) override the config's. `geometry` "flat" (the
-    default) takes texels for what they seem; "recover" finds height and normals from the training samples and puts the
+    `geometry`, `tiles` and the model's `options` (named as in the README) override the config's. `geometry` "flat"
+    takes texels for what they seem; "recover" finds height and normals from the training samples and puts the
     model on that relief, with parallax, shadow and ambient light, if that makes it better; a height map [1, H, W] in
-    texture widths over the plane of the images, or the path of one, is taken as it is. `tiles` False says that the
+    texture widths over the plane of the images, or the path of one, is taken as it is.
+    Left out it is the model's own way (`Recipe.geometry`): "recover" for "distribution" and "neural", where there is anything to
+    recover it from, and "flat" for most. `tiles` False says that the
     surface does not repeat at its borders (True). `dtype` float64 runs the same code in double precision. `measure`
     False leaves the errors out of the report, which takes most of the time of a closed-form fit. Deterministic for a
     seed.
@@ -97,19 +101,19 @@ def fit(
     samples is as wanted, or the best within so many `bytes` a texel and `seconds`; see `fitting.choice.choose`. Of any
     other model `seconds` stops an iterative solver, with the best so far. `scene`, a Scene or a list of them, fits only
     the texels, lights and views that it uses, weighted as it uses them; the report then says what that saves and costs.
-    `tile` texels on a side are fitted at a time, or as many as `memory_mb` allows; finished tiles are kept in the
+    `tile_size` texels on a side are fitted at a time, or as many as `memory_mb` allows; finished tiles are kept in the
     folder `work`, where a run that was killed goes on. `curve` records the held-out error against seconds as `history`.
 
     Raises RangeError for unknown models or options, FitError when the data cannot determine the model.
     """
     given = {
-        "holdout": holdout, "holdout_by": holdout_by, "seed": seed, "tiles": tiles, "tile": tile, "memory_mb": memory_mb,
+        "holdout": holdout, "holdout_by": holdout_by, "seed": seed, "tiles": tiles, "tile_size": tile_size, "memory_mb": memory_mb,
     }
     wanted = {"error": error, "psnr": psnr, "bytes": bytes, "seconds": seconds}
     if dtype not in (torch.float32, torch.float64):
         raise RangeError(message("fit", "dtype", "be torch.float32 or torch.float64", f"it is {dtype}"))
     if isinstance(model, Material):
-        others = {"geometry": geometry, "scene": scene, "tile": tile, "memory_mb": memory_mb, "work": work, **wanted}
+        others = {"geometry": geometry, "scene": scene, "tile_size": tile_size, "memory_mb": memory_mb, "work": work, **wanted}
         _refuse_beside_a_material({**others, "seconds": None, "tiles": tiles})
         task = _of_material(btf, model, options, given, seconds, dtype)
     else:
@@ -122,7 +126,7 @@ def fit(
         fitted = task.run(training)
         watch.note(lambda: fitted.material)
     seconds = watch.seconds
-    errors, held_out = evaluate_parts(btf, fitted.material, split, progress) if measure else (dict.fromkeys(PARTS), None)
+    errors, held_out = evaluate_parts(btf, fitted.material, split, progress) if measure else (dict.fromkeys(SPLITS), None)
     ways = {"options": task.options if fitted.options is None else fitted.options, "geometry": task.geometry}
     report = {**_described(btf, config, fitted), **ways, "fit_seconds": seconds, **errors, "curve": watch.history}
     if task.scene is not None:
@@ -155,9 +159,12 @@ def _by_name(
     config = _resolve(model, given | way, wanted, options)
     chosen = resolve_options(config.model, config.options)
     asked = config.geometry if geometry is None or isinstance(geometry, str) else geometry
-    surface = resolve_geometry(asked, by_itself=config.model == AUTO)
+    by_itself = config.model == AUTO
+    default = RECOVER if by_itself else recipe_of(config.model).geometry
+    surface = resolve_geometry(asked, default=default, by_itself=by_itself)
     use = None if scene is None else as_use(scene)  # found before the clock starts, as images are decoded before
-    word = surface.word if isinstance(surface, Given) else config.geometry if isinstance(asked, str) else surface.word
+    by_data = by_itself and (asked is None or (isinstance(asked, str) and asked == AUTO_RELIEF))
+    word = AUTO_RELIEF if by_data else surface.word
     return _Task(config, chosen, word, lambda training: _fitted(training, config, chosen, surface, use, work), use)
 
 
@@ -204,15 +211,15 @@ def _fitted(
     """Return what the config asks for: a model, whole or tile by tile, or the choice among models; for a scene or all."""
     if scene is not None:
         return fit_for_scene(training, config, options, geometry, scene, work)
-    by_tiles = config.tile or config.memory_mb or work is not None
+    by_tiles = config.tile_size or config.memory_mb or work is not None
     if config.model == AUTO:
         if by_tiles:
             step = "Let it choose on a crop of the images, then fit the model that it picked by tiles."
-            fact = "tile, memory_mb or work is given"
+            fact = "tile_size, memory_mb or work is given"
             raise RangeError(message("fit auto", "the choice", "be made on all texels at once", fact, step))
         return fit_auto(training, make_target("fit", config.target), geometry)
     if by_tiles:
-        return fit_tiled(training, config.model, options, geometry, config.tile, config.memory_mb, work)
+        return fit_tiled(training, config.model, options, geometry, config.tile_size, config.memory_mb, work)
     return fit_with_geometry(training, config.model, options, geometry)
 
 

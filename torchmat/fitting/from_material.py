@@ -13,9 +13,9 @@ from torchmat.fitting.recipes import check_kind
 from torchmat.fitting.relief.surface import bring_onto, without_shadow
 from torchmat.fitting.training import Fitted, Training
 from torchmat.models import Material
-from torchmat.models.relief import PARTS
+from torchmat.models.relief_maps import RELIEF_MAPS
 
-_RELIEF = tuple(part.name for part in PARTS)
+_RELIEF = tuple(one.name for one in RELIEF_MAPS)
 
 
 @dataclass(frozen=True)

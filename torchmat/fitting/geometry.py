@@ -28,8 +28,13 @@ class Flat:
 
 @dataclass(frozen=True)
 class Recover:
-    """Height and normals are found from the training samples, and kept if they make the model better."""
+    """Height and normals are found from the training samples, and kept if they make the model better.
 
+    Where the data has no view or lights to find them from, that is an error, or with `or_flat` the surface is flat and
+    the report says why.
+    """
+
+    or_flat: bool = False
     word = RECOVER
 
 
@@ -44,13 +49,16 @@ class Given:
 Geometry = Flat | Recover | Given
 
 
-def resolve_geometry(asked: Any, *, by_itself: bool = False) -> Geometry:
+def resolve_geometry(asked: Any, *, default: str = FLAT, by_itself: bool = False) -> Geometry:
     """Return what a word, a path, a tensor, an array or a Geometry asks for, the same for every way in.
 
     A word is "flat" or "recover"; `by_itself` admits "auto" too, which leaves the relief to the data as "recover" does.
+    None is the model's `default`, whose "recover" makes do with a flat surface where nothing can be recovered.
     A text that has a suffix or a folder, or that exists, is the path of a height map (`load_height`). Raises RangeError
     for other words, with the nearest one, DataError for files that cannot be read.
     """
+    if asked is None:
+        return Flat() if default == FLAT else Recover(or_flat=True)
     if isinstance(asked, Flat | Recover | Given):
         return asked
     if isinstance(asked, str) and not is_path(asked):
@@ -88,7 +96,7 @@ def check_height(height: Tensor, btf: Btf) -> Tensor:
     reach = float(height.abs().max())
     if span == 0 or reach >= LARGEST_SCALE:
         fact = "it is the same everywhere" if span == 0 else f"it reaches {reach:g} texture widths"
-        step = "Heights are in texture widths; leave geometry out for a flat surface."
+        step = "Heights are in texture widths; geometry=\"flat\" is a flat surface."
         raise RangeError(message("fit", "geometry", "be a height map of a surface", fact, step))
     return height
 

@@ -9,6 +9,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from torchmat.errors import FitError, RangeError
 from torchmat.fitting.evaluate import evaluate
 from torchmat.fitting.geometry import Flat, Geometry, Given, check_height
 from torchmat.fitting.recipe import recipe_of
@@ -68,7 +69,13 @@ def fit_with_geometry(
     if isinstance(geometry, Flat):
         return fit_flat(training, model, options)
     start = time.perf_counter()
-    recovery = recover_relief(recovered_from or training)
+    try:
+        recovery = recover_relief(recovered_from or training)
+    except (FitError, RangeError) as error:
+        if not geometry.or_flat:
+            raise
+        fitted = fit_flat(training, model, options)
+        return replace(fitted, figures={**fitted.figures, "geometry": not_recovered(error)})
     relief = recovery.relief
     figures = {**recovery.figures(), "recovery_seconds": time.perf_counter() - start}
     height, raised = relief.height, float(relief.height.abs().max()) > 0
@@ -84,6 +91,11 @@ def fit_with_geometry(
         fitted = replace(fit_on_relief(training, model, options, height), relief=relief)
     figures = {**fitted.figures, "geometry": {**figures, "chosen": chosen}}
     return replace(fitted, stop_reason=BUDGET if cut else fitted.stop_reason, figures=figures)
+
+
+def not_recovered(error: Exception) -> dict[str, str]:
+    """Return what the report says of a surface that is flat because nothing else could be found."""
+    return {"chosen": "flat", "not_recovered": str(error)}
 
 
 def compare_with_flat(training: Training, model: str, options: dict[str, Any], height: Tensor) -> tuple[str, dict[str, float]]:

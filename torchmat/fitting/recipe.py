@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import inspect
+import typing
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
 from torchmat.errors import RangeError, check_option, message
+from torchmat.fitting.geometry import FLAT, GEOMETRIES
 from torchmat.fitting.models.any_model import DESCENTS, descend, fit_by_descent
 from torchmat.fitting.shared import Shared
 from torchmat.fitting.training import Fitted, Training
@@ -96,7 +98,8 @@ class Recipe:
 
     `descends` says that those solvers serve as well, from what `fit` makes of few samples; without it `solvers` are all
     there are. `on_relief` (surface, height, options) fits shadow and ambient itself, or returns None for options that
-    take the way of all models; those of `rungs` it must take. `shared` is the class of what its fit says that all texels have in common. `quick` are options of the fit that says what a relief is worth, `rungs` the candidates
+    take the way of all models; those of `rungs` it must take. `geometry`, "flat" or "recover", is what a fit
+    takes the surface for where nothing else is asked. `shared` is the class of what its fit says that all texels have in common. `quick` are options of the fit that says what a relief is worth, `rungs` the candidates
     of the automatic choice, `ladder` how it is built part by part there. `compared` are the options of its rows in a comparison ("terms=9"; empty is none), and
     `solvers_differ` adds a row for each further solver, where none is the obvious one.
     """
@@ -110,6 +113,7 @@ class Recipe:
     quick: Mapping[str, Any] = field(default_factory=dict)
     tiling: Tiling = Tiling()
     shared: type[Shared] = Shared
+    geometry: str = FLAT
     rungs: tuple[Rung, ...] = ()
     ladder: Ladder | None = None
     compared: tuple[str, ...] = ("",)
@@ -126,6 +130,7 @@ class Recipe:
             fact = "both are given" if self.fit else "neither is given"
             step = "Give fit(training, *, ...) -> Fitted, or start(training, *, ...) -> Material to descend from."
             raise RangeError(message(where, f"the fit of {self.name}", "be `fit` or `start`", fact, step))
+        check_option(where, "geometry", self.geometry, GEOMETRIES)
 
     @property
     def name(self) -> str:
@@ -146,6 +151,12 @@ class Recipe:
         own = {p.name: p.default for p in parameters if p.kind is inspect.Parameter.KEYWORD_ONLY}
         more = {"steps": 0, "rate": 0.0} if self.fit is None else {}
         return {**own, **more, "solver": self.all_solvers[0]}
+
+    @property
+    def kinds(self) -> dict[str, Any]:
+        """What each option may be: a type, or a union of types and literal words."""
+        found = {"solver": str, "steps": int, "rate": float, **typing.get_type_hints(self.fit or self.start)}
+        return {name: found.get(name, type(default)) for name, default in self.options.items()}
 
     @property
     def iterates(self) -> bool:

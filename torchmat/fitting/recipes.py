@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import math
+import types
+import typing
+from typing import Any
 
 from torchmat.errors import RangeError, check_known_keys, check_option, message
 from torchmat.fitting.models.distribution.recipe import DISTRIBUTION
@@ -30,21 +33,42 @@ def resolve_options(model: str, given: dict[str, object]) -> dict[str, object]:
     """Return all options of `model` with those `given`; raises RangeError, with the nearest name, for unknown ones."""
     defaults = default_options(model)
     check_known_keys(f"fit {model}", given, defaults)
+    kinds = {} if model == AUTO else recipe_of(model).kinds
     for name, value in given.items():
-        check_kind(f"fit {model}", name, value, type(defaults[name]))
+        check_kind(f"fit {model}", name, value, kinds[name])
     if "solver" in given:
         check_option(f"fit {model}", "solver", given["solver"], recipe_of(model).all_solvers)
     return {**defaults, **given}
 
 
-def check_kind(where: str, name: str, value: object, kind: type) -> None:
-    """Raise RangeError unless `value` is of the default's kind; whole numbers serve as numbers, booleans do not.
+_KINDS = {int: "a whole number", float: "a number", str: "a text", bool: "true or false"}
 
-    No option of a model has a meaning below 0, or where it is no number.
+
+def check_kind(where: str, name: str, value: object, kind: Any) -> None:
+    """Raise RangeError unless `value` is of a kind: a type, or a union of types and literal words.
+
+    Whole numbers serve as numbers, booleans do not. No option of a model has a meaning below 0, or where it is no number.
     """
-    accepted = (int, float) if kind is float else kind
-    if not isinstance(value, accepted) or (isinstance(value, bool) and kind is not bool):
-        names = {int: "a whole number", float: "a number", str: "a text", bool: "true or false"}
-        raise RangeError(message(where, name, f"be {names.get(kind, kind.__name__)}", f"it is {value!r}"))
-    if kind in (int, float) and not 0 <= value < math.inf:
+    one_of = kind_parts(kind)
+    kinds = tuple(part for part in one_of if isinstance(part, type))
+    if isinstance(value, str) and value in one_of:
+        return
+    accepted = (*kinds, *([int] if float in kinds else []))
+    if not isinstance(value, accepted) or (isinstance(value, bool) and bool not in kinds):
+        raise RangeError(message(where, name, f"be {described_kind(kind)}", f"it is {value!r}"))
+    if isinstance(value, int | float) and not 0 <= value < math.inf:
         raise RangeError(message(where, name, "be at least 0 and finite", f"it is {value}"))
+
+
+def described_kind(kind: Any) -> str:
+    """Return a kind in words: "a whole number, or 'auto'"."""
+    return ", or ".join(_KINDS.get(part, part.__name__) if isinstance(part, type) else repr(part) for part in kind_parts(kind))
+
+
+def kind_parts(kind: Any) -> tuple[Any, ...]:
+    """Return the types and literal words that a kind is a union of."""
+    if typing.get_origin(kind) is typing.Literal:
+        return typing.get_args(kind)
+    if typing.get_origin(kind) in (typing.Union, types.UnionType):
+        return tuple(part for one in typing.get_args(kind) for part in kind_parts(one))
+    return (kind,)

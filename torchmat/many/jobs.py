@@ -10,7 +10,6 @@ from typing import Any
 
 from torchmat.errors import DataError, RangeError, check_known_keys, message
 from torchmat.fitting import FitConfig, load_config
-from torchmat.fitting.geometry import is_path
 from torchmat.fitting.recipes import AUTO, resolve_options
 from torchmat.report.tables import to_json
 from torchmat.text_file import read_toml
@@ -48,7 +47,7 @@ class Job:
             return None
         config = self.settled
         wanted = {name: getattr(config, name) for name in ("seed", "holdout", "holdout_by", "tiles", "target", "data")}
-        wanted["geometry"] = "given" if is_path(config.geometry) else config.geometry
+        wanted["geometry"] = config.geometry_word
         chosen = bool(report.get("figures", {}).get("auto"))
         if config.model != AUTO:
             wanted |= {"model": config.model, "options": resolve_options(config.model, config.options)}

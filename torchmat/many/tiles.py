@@ -70,7 +70,7 @@ def fit_by_tiles(
     in `work`, as `fit` keeps them. A worker that dies is replaced and its tile fitted again.
     """
     config = job.settled
-    config = config if config.tile or config.memory_mb else replace(config, tile=USUAL_SIDE)
+    config = config if config.tile_size or config.memory_mb else replace(config, tile_size=USUAL_SIDE)
     btf = load_btf(job.data, **job.reading, progress=show)
     with cluster(workers, scheduler) as client, tiles_fitted_by(_runner(client, job)):
         return btf, fit(btf, config, work=work, progress=show)

@@ -211,9 +211,9 @@ def _without_alpha(path: Path, pixels: np.ndarray) -> np.ndarray:
 
 
 def _culprit(folder: Path, manifest: dict[str, Any], error: TorchmatError) -> str:
-    """Return the texture files of the map that `error` names, or else the manifest."""
+    """Return the texture files of the map that `error` is about, or else the manifest."""
     try:
-        files = ", ".join(entry["file"] for entry in manifest["textures"] if f": {entry['map']} must" in str(error))
+        files = ", ".join(entry["file"] for entry in manifest["textures"] if entry["map"] == error.map)
     except (KeyError, TypeError):  # the entries themselves are what is wrong
         files = ""
     return str(folder / (files or MANIFEST))

@@ -26,7 +26,7 @@ from torchmat.images import read_image, write_image
 from torchmat.machine import package_version
 from torchmat.models import Distribution, Material
 from torchmat.models.cutout import Cutout
-from torchmat.models.relief import HEIGHT
+from torchmat.models.relief_maps import HEIGHT
 from torchmat.models.storage import Codes, MapSpec, decode, encode
 from torchmat.text_file import read_json
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import inspect
 import math
 from collections.abc import Callable, Mapping
@@ -11,10 +10,10 @@ from typing import Any, ClassVar, Self
 import torch
 from torch import Tensor, nn
 
-from torchmat.errors import RangeError, ShapeError, check_known_keys, check_option, message
-from torchmat.geometry.relief import look_up
+from torchmat.errors import RangeError, ShapeError, about_map, check_known_keys, check_option, message
+from torchmat.geometry.rays import look_up
 from torchmat.models.cutout import Cutout
-from torchmat.models.relief import PARTS, shade_points, shade_texels
+from torchmat.models.relief_maps import RELIEF_MAPS, shade_points, shade_texels
 from torchmat.models.storable import Storable
 from torchmat.models.storage import STORAGES, MapSpec, StoredAs, check_map, check_stored
 from torchmat.repeatable import wide_product
@@ -48,12 +47,12 @@ class Material(Storable):
         self.cutout = cutout
         self._check_cutout()
         self.options = options
-        self._parts = tuple(part for part in PARTS if part.name in maps)
+        self._parts = tuple(one for one in RELIEF_MAPS if one.name in maps)
         specs = self.specs()
         check_known_keys(self.name, maps, [spec.name for spec in specs])
         if "ambient" in maps and "height" not in maps:
             step = "Use on_relief(height, ambient)."
-            raise ShapeError(message(self.name, "height", "be there for an ambient map", "it is not", step))
+            raise ShapeError(message(self.name, "height", "be there for an ambient map", "it is not", step), map="ambient")
         missing = [spec.name for spec in specs if spec.name not in maps]
         if missing:
             fact = f"{', '.join(missing)} is missing"
@@ -61,7 +60,7 @@ class Material(Storable):
         for name, value in maps.items():
             if not isinstance(value, Tensor) or not value.is_floating_point():
                 fact = f"it is {value.dtype if isinstance(value, Tensor) else type(value).__name__}"
-                raise RangeError(message(self.name, name, "be a floating-point tensor", fact))
+                raise RangeError(message(self.name, name, "be a floating-point tensor", fact), map=name)
         self.maps = nn.ParameterDict({spec.name: nn.Parameter(maps[spec.name].detach()) for spec in specs})
         self._check_shapes(specs)
         check_stored(self.name, stored or {}, specs, self.size)
@@ -86,18 +85,19 @@ class Material(Storable):
     def _check_shapes(self, specs: tuple[MapSpec, ...]) -> None:
         size = None
         for spec in specs:
-            value = self.maps[spec.name]
-            dimensions = 1 if spec.constant else 3
-            if value.ndim != dimensions or value.shape[0] != spec.channels or 0 in value.shape:
-                shape = f"[{spec.channels}]" if spec.constant else f"[{spec.channels}, H, W]"
-                raise ShapeError(message(self.name, spec.name, f"be {shape}", f"it is {tuple(value.shape)}"))
-            self._check_dtype(spec.name, value.dtype)
-            check_map(self.name, spec, value)
-            if spec.per_texel and not spec.constant:
-                size = size or tuple(value.shape[-2:])
-                if tuple(value.shape[-2:]) != size:
-                    fact = f"it is {tuple(value.shape[-2:])} and other maps are {size}"
-                    raise ShapeError(message(self.name, spec.name, "have the size of the other maps", fact))
+            with about_map(spec.name):
+                value = self.maps[spec.name]
+                dimensions = 1 if spec.constant else 3
+                if value.ndim != dimensions or value.shape[0] != spec.channels or 0 in value.shape:
+                    shape = f"[{spec.channels}]" if spec.constant else f"[{spec.channels}, H, W]"
+                    raise ShapeError(message(self.name, spec.name, f"be {shape}", f"it is {tuple(value.shape)}"))
+                self._check_dtype(spec.name, value.dtype)
+                check_map(self.name, spec, value)
+                if spec.per_texel and not spec.constant:
+                    size = size or tuple(value.shape[-2:])
+                    if tuple(value.shape[-2:]) != size:
+                        fact = f"it is {tuple(value.shape[-2:])} and other maps are {size}"
+                        raise ShapeError(message(self.name, spec.name, "have the size of the other maps", fact))
 
     def _check_dtype(self, name: str, dtype: torch.dtype) -> None:
         wanted = self.dtype
@@ -220,12 +220,19 @@ class Material(Storable):
         return self.sharing({spec.name: self.maps[spec.name] for spec in self.own_specs()})
 
     def sharing(self, maps: dict[str, Tensor]) -> Self:
-        """Return a flat material of these very tensors, not of copies: gradients pass through to what they came from."""
-        other = copy.copy(self)
-        other.__dict__ = dict(self.__dict__)
-        other._modules = {}
-        other._parts, other.stored, other.cutout = (), {}, None
-        other.maps = maps
+        """Return a flat material of these very tensors, not of copies: gradients pass through to what they came from.
+
+        They are not checked: what is no longer finite shows in the result.
+        """
+        return self._unchecked(dict(maps), _parts=(), stored={}, cutout=None)
+
+    def _unchecked(self, maps: dict[str, Tensor], **fields: Any) -> Self:
+        """Return a material that differs from this one in these maps and fields: neither checked nor copied."""
+        other = type(self).__new__(type(self))
+        nn.Module.__init__(other)
+        own = {name: value for name, value in vars(self).items() if name not in vars(other)}
+        for name, value in {**own, **fields, "maps": maps}.items():
+            setattr(other, name, value)
         return other
 
     def _check_uv(self, method: str, uv: Tensor) -> None:

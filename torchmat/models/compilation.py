@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import logging
 import warnings
 from functools import cache
@@ -25,15 +24,13 @@ def compiled(material: Material) -> Material:
     """
     if not can_compile():
         return material
-    plain = material.surface()
-    plain._compiled = None
+    flat = material.surface()
+    plain = flat._unchecked(flat.maps, _compiled=None)
 
     def value(maps: dict[str, Tensor], light: Tensor, view: Tensor) -> Tensor:
         return plain.sharing(maps).value(light, view)
 
-    other = copy.copy(material)
-    other.__dict__ = {**material.__dict__, "_compiled": torch.compile(value)}
-    return other
+    return material._unchecked(material.maps, _compiled=torch.compile(value))
 
 
 @cache

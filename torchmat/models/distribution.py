@@ -54,26 +54,29 @@ class Distribution(Material):
         for part in parts:
             check_option(self.name, "parts", part, DISTRIBUTION_PARTS)
         chosen = [part for part in DISTRIBUTION_PARTS if part in parts]
-        self._lobes, self._chosen, self._mask_channels = lobes, chosen, mask_channels
         self._kept_frame: tuple[list[Tensor], list[tuple], tuple[Tensor, Tensor | None]] | None = None
         options = {"lobes": lobes, "parts": chosen, "mask_channels": mask_channels, "fresnel_exponent": fresnel_exponent}
         super().__init__(maps, **options, **settings)
         self._check_tables()
 
+    @property
+    def _lobes(self) -> int:
+        return self.options["lobes"]
+
     def _check_tables(self) -> None:
         if "specular" in self.maps and self.maps["specular"].shape[-1] != self.maps["specular"].shape[-2]:
             shape = tuple(self.maps["specular"].shape)
-            raise ShapeError(message(self.name, "specular", "be square", f"it is {shape}"))
+            raise ShapeError(message(self.name, "specular", "be square", f"it is {shape}"), map="specular")
         if "tilt" in self.maps and self.maps["tilt"].shape != (1, 1, TILT_SAMPLES):
             shape = tuple(self.maps["tilt"].shape)
-            raise ShapeError(message(self.name, "tilt", f"be [1, 1, {TILT_SAMPLES}]", f"it is {shape}"))
+            raise ShapeError(message(self.name, "tilt", f"be [1, 1, {TILT_SAMPLES}]", f"it is {shape}"), map="tilt")
 
     def own_specs(self) -> tuple[MapSpec, ...]:
         numbers = tuple(str(number + 1) for number in range(self._lobes))
         every = {
             "normal": MapSpec("normal", "unit normal; on a relief, its refinement", low=-1.0, high=1.0, fixed_range=True),
             "specular_mask": MapSpec(
-                "specular_mask", "scale of the specular colour", layer_channels=self._mask_channels, low=0.0,
+                "specular_mask", "scale of the specular colour", layer_channels=self.options["mask_channels"], low=0.0,
                 colour=True, linear=True,
             ),
             "fresnel": MapSpec("fresnel", "reflectance at normal incidence, r0", layer_channels=1, low=0.0, high=1.0),
@@ -84,7 +87,7 @@ class Distribution(Material):
             "tilt": MapSpec("tilt", "1 - d for 0..90 degrees", layer_channels=1, low=0.0, high=1.0, per_texel=False),
         }
         specs = [MapSpec("diffuse", "diffuse colour", low=0.0, colour=True, linear=True)]
-        specs += [every[part] for part in self._chosen]
+        specs += [every[part] for part in self.options["parts"]]
         if self._lobes > 1:
             weight = "weight of each specular map"
             specs.append(MapSpec("index", weight, layers=numbers, layer_channels=1, low=0.0, high=1.0, linear=True))
@@ -95,14 +98,13 @@ class Distribution(Material):
 
     def surface(self) -> Distribution:
         flat = super().surface()
-        if self.has_relief:
-            slopes = slopes_from_height(self.maps["height"], tiles=self.tiles)
-            if "normal" in self.maps:
-                slopes = slopes + slopes_from_normals(safe.normalise(self.maps["normal"]))
-            flat.maps["normal"] = normals_from_slopes(slopes)
-            flat._chosen = [part for part in DISTRIBUTION_PARTS if part in (*self._chosen, "normal")]
-            flat.options = {**self.options, "parts": flat._chosen}
-        return flat
+        if not self.has_relief:
+            return flat
+        slopes = slopes_from_height(self.maps["height"], tiles=self.tiles)
+        if "normal" in self.maps:
+            slopes = slopes + slopes_from_normals(safe.normalise(self.maps["normal"]))
+        parts = [part for part in DISTRIBUTION_PARTS if part in (*self.options["parts"], "normal")]
+        return flat._unchecked({**flat.maps, "normal": normals_from_slopes(slopes)}, options={**self.options, "parts": parts})
 
     def value(self, light: Tensor, view: Tensor) -> Tensor:
         frame, normal = self._frame()

@@ -44,7 +44,6 @@ class Lambert(Material):
 
     def __init__(self, maps: Mapping[str, Tensor], *, normals: str = "map", **settings: Any) -> None:
         check_option(self.name, "normals", normals, NORMALS)
-        self._normals = normals
         if normals == "height" and "height" not in maps:
             step = "Give a height map, or normals='map' and a normal map."
             raise ShapeError(message(self.name, "height", "be there for normals='height'", "it is not", step))
@@ -53,14 +52,14 @@ class Lambert(Material):
     def own_specs(self) -> tuple[MapSpec, ...]:
         albedo = MapSpec("albedo", "diffuse colour", low=0.0, colour=True, linear=True)
         normal = MapSpec("normal", "unit normal, x right, y up", low=-1.0, high=1.0, fixed_range=True)
-        return (albedo, normal) if self._normals == "map" else (albedo,)
+        return (albedo, normal) if self.options["normals"] == "map" else (albedo,)
 
     def surface(self) -> Lambert:
         flat = super().surface()
-        if self._normals == "height":
-            flat.maps["normal"] = normals_from_slopes(slopes_from_height(self.maps["height"], tiles=self.tiles))
-            flat._normals, flat.options = "map", {**self.options, "normals": "map"}
-        return flat
+        if self.options["normals"] == "map":
+            return flat
+        normal = normals_from_slopes(slopes_from_height(self.maps["height"], tiles=self.tiles))
+        return flat._unchecked({**flat.maps, "normal": normal}, options={**self.options, "normals": "map"})
 
     def value(self, light: Tensor, view: Tensor) -> Tensor:
         normal = safe.normalise(self.maps["normal"])  # interpolation and integer codes shorten it

@@ -75,7 +75,7 @@ class Neural(Material):
             shape = tuple(self.maps[f"layer_{number}"].shape)
             if shape != (1, outputs, inputs + 1):
                 requirement = f"be [1, {outputs}, {inputs + 1}]"
-                raise ShapeError(message(self.name, f"layer_{number}", requirement, f"it is {shape}"))
+                raise ShapeError(message(self.name, f"layer_{number}", requirement, f"it is {shape}"), map=f"layer_{number}")
 
     def own_specs(self) -> tuple[MapSpec, ...]:
         channels = tuple(f"{index:02d}" for index in range(self._widths[0][1] - ANGLES))

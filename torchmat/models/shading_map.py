@@ -68,7 +68,7 @@ class ShadingMap(Material):
         elif self.maps["reflectance"].shape[-1] % TABLE_RESOLUTION[-1]:
             requirement = f"be [1, half, {TABLE_RESOLUTION[-1]} * difference]"
             fact = f"it is {tuple(self.maps['reflectance'].shape)}"
-            raise ShapeError(message(self.name, "reflectance", requirement, fact, "Use with_brdf."))
+            raise ShapeError(message(self.name, "reflectance", requirement, fact, "Use with_brdf."), map="reflectance")
 
     def own_specs(self) -> tuple[MapSpec, ...]:
         if self._lobe is None:

@@ -53,12 +53,12 @@ class SphereImages(Material):
         self.options["angles_deg"] = [float(angle) for angle in angles_deg]
         rows, columns = self.maps["images"].shape[-2:]
         if rows != columns:
-            raise ShapeError(message(self.name, "images", "be square", f"they are {rows} x {columns}"))
+            raise ShapeError(message(self.name, "images", "be square", f"they are {rows} x {columns}"), map="images")
         allowed = {1, 2 * (len(self._angles) - 1)} - {0}
         if self.maps["turn"].shape[1] not in allowed:
             fact = f"it has {self.maps['turn'].shape[1]}"
             requirement = f"have {' or '.join(map(str, sorted(allowed)))} rows for {len(self._angles)} pictures"
-            raise ShapeError(message(self.name, "turn", requirement, fact))
+            raise ShapeError(message(self.name, "turn", requirement, fact), map="turn")
 
     @classmethod
     def from_brdf(

@@ -9,11 +9,12 @@ from typing import Any
 import torch
 
 from torchmat.btf import Btf
-from torchmat.errors import FitError, RangeError, check_option, message
+from torchmat.errors import FitError, RangeError, message
 from torchmat.fitting import FitResult, fit
 from torchmat.fitting.config import parse_value
 from torchmat.fitting.evaluate import evaluate, evaluate_parts
-from torchmat.fitting.geometry import GEOMETRIES
+from torchmat.fitting.geometry import Geometry, check_word, resolve_geometry
+from torchmat.fitting.recipe import recipe_of
 from torchmat.fitting.recipes import AUTO, resolve_options
 from torchmat.machine import MemoryMark
 from torchmat.report.tables import COMPARE_COLUMNS
@@ -24,12 +25,16 @@ _COSTS = {"total_bytes_per_texel": "bytes", "fit_seconds": "seconds", "shade_mte
 
 @dataclass(frozen=True)
 class Entry:
-    """One row that is asked for: `text` as it was given, the model, its options, and "flat" or "recover"."""
+    """One row that is asked for: `text` as it was given, the model, its options, and its geometry.
+
+    `asked` is the geometry that its own text names, if it does.
+    """
 
     text: str
     model: str
     options: dict[str, Any]
-    geometry: str
+    geometry: Geometry
+    asked: str | None = None
 
     @property
     def solver(self) -> str:
@@ -55,7 +60,7 @@ class Setting:
 def parse_model(text: str) -> tuple[str, dict[str, Any]]:
     """Split ``hsh:terms=9,storage=png8`` into the model's name and its options, both checked.
 
-    `geometry`, flat or recover, may stand among the options: ``lambert:geometry=recover``.
+    `geometry`, flat, recover or the path of a height map, may stand among the options: ``lambert:geometry=recover``.
     """
     name, _, rest = text.partition(":")
     options: dict[str, Any] = {}
@@ -70,21 +75,24 @@ def parse_model(text: str) -> tuple[str, dict[str, Any]]:
         step = 'Give models; fit(btf, "auto") chooses among them.'
         raise RangeError(message("compare", "the models", "be models", f"{AUTO!r} is the choice among them", step))
     if "geometry" in options:
-        check_option("compare", "geometry", options["geometry"], GEOMETRIES)
+        check_word("compare", str(options["geometry"]), by_itself=False)
     return name, options
 
 
-def entry_of(text: str, geometry: str) -> Entry:
-    """Return the row that a model's text asks for; `geometry` holds unless the text says otherwise."""
+def entry_of(text: str, geometry: Geometry | None) -> Entry:
+    """Return the row that a model's text asks for; `geometry` holds unless the text says otherwise, None is its own way."""
     name, options = parse_model(text)
     own = {key: value for key, value in options.items() if key != "geometry"}
-    return Entry(text, name, own, options.get("geometry", geometry))
+    asked = options.get("geometry")
+    if asked is not None or geometry is None:
+        geometry = resolve_geometry(asked, default=recipe_of(name).geometry)
+    return Entry(text, name, own, geometry, asked)
 
 
 def make_row(btf: Btf, entry: Entry, setting: Setting) -> dict[str, Any]:
     """Fit one model as often as is asked for and return its row; what the data cannot determine says so in `failed`."""
     row: dict[str, Any] = dict.fromkeys(COMPARE_COLUMNS)
-    row |= {"model": entry.text, "solver": entry.solver, "geometry": entry.geometry, "curve": [], "report": None}
+    row |= {"model": entry.text, "solver": entry.solver, "geometry": entry.geometry.word, "curve": [], "report": None}
     runs: list[tuple[FitResult, float | None]] = []
     with_curve = entry.iterates and setting.curves
     try:

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from torchmat.report.decisions import decision_rows, map_rows, outcome_text, shrinking_rows, wanted_text
+from torchmat.report.decisions_page import decision_rows, map_rows, outcome_text, shrinking_rows, wanted_text
 from torchmat.report.tables import error_rows, number, scene_rows
 
 _STYLE = """

@@ -12,7 +12,7 @@ from torchmat.fitting.evaluate import comparable
 from torchmat.frames import half_vector
 from torchmat.material_io import packed, save_material
 from torchmat.models import Distribution
-from torchmat.report.decisions import decisions_picture, decisions_text
+from torchmat.report.decisions_page import decisions_picture, decisions_text
 from torchmat.report.html import fit_page
 from torchmat.report.maps import hemisphere_picture, maps_picture
 from torchmat.report.pictures import write_pictures

@@ -73,7 +73,7 @@ class Climb:
     def relief(self, height: Tensor) -> None:
         """Try the closed forms on a relief, all on samples that are brought onto it once."""
         surface, bare, shadowed = bring_onto(replace(self.part, progress=False), height), None, None
-        # What fits shadow itself comes first: the others need samples without it, which take the place of those with it.
+        # What fits shadow itself comes first, from samples that need no second copy.
         rungs = (rung for rung in all_rungs() if not rung.stored)
         rungs = sorted(rungs, key=lambda rung: recipe_of(rung.model).on_relief is None)
         for rung in rungs:

@@ -19,7 +19,7 @@ from torchmat.fitting.training import Training
 from torchmat.fitting.wanted import Target
 from torchmat.metrics import psnr, relative
 from torchmat.models import Material
-from torchmat.models.relief import Rays, rays, shade_along
+from torchmat.models.relief_maps import Rays, rays, shade_along
 from torchmat.repeatable import one_thread
 
 _SHARE, _FEWEST, _MOST = 0.1, 16, 128  # of the training samples are kept back

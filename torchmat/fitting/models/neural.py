@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from torchmat.errors import check_option, check_positive
+from torchmat.fitting.geometry import RECOVER
 from torchmat.fitting.recipe import Recipe, Tiling
 from torchmat.fitting.training import Fitted, Training
 from torchmat.models.neural import Neural, angles, check_count, root_of_value, widths
@@ -181,7 +182,8 @@ class _Fit:
         return Neural(maps, **self.options, storage=self.storage, tiles=self.training.tiles)
 
 
-_REFUSED = ("has one network for all texels", "Leave tile, memory_mb and work out: it holds only some of the images and texels at a time.")
+_REFUSED = ("has one network for all texels", "Leave tile_size, memory_mb and work out: it holds only some of the images and texels at a time.")
 NEURAL = Recipe(
-    Neural, fit_neural, solvers=("minibatch",), descends=False, quick={"effort": 0.1}, tiling=Tiling(refused=_REFUSED)
+    Neural, fit_neural, solvers=("minibatch",), descends=False, quick={"effort": 0.1}, tiling=Tiling(refused=_REFUSED),
+    geometry=RECOVER,
 )

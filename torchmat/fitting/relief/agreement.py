@@ -16,7 +16,7 @@ import torch.nn.functional as functional
 from torch import Tensor
 
 from torchmat.fitting.training import Training
-from torchmat.geometry.relief import look_up, ray_slope, texel_centres, visible
+from torchmat.geometry.rays import look_up, ray_slope, texel_centres, visible
 from torchmat.repeatable import one_thread, orthonormal, product
 
 _SAMPLES = 400  # images that are compared, evenly chosen

@@ -25,7 +25,7 @@ from torchmat.fitting.relief.refine import image_gradient, limited
 from torchmat.fitting.training import Training, make_training
 from torchmat.geometry import Relief, Stereo, photometric_stereo, poisson, slopes_from_normals
 from torchmat.geometry.normals import pad_border
-from torchmat.geometry.recover import relief_from_stereo
+from torchmat.geometry.from_photographs import relief_from_stereo
 from torchmat.progress import progress
 from torchmat.repeatable import one_thread, product
 from torchmat.solvers.clock import Watch

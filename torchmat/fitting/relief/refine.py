@@ -10,7 +10,7 @@ from torch import Tensor
 from torchmat.fitting.relief.surface import Surface
 from torchmat.geometry import poisson
 from torchmat.geometry.normals import pad_border
-from torchmat.geometry.relief import look_up, ray_slope, texel_centres
+from torchmat.geometry.rays import look_up, ray_slope, texel_centres
 from torchmat.repeatable import one_thread
 
 _SLOPE_ERROR, _SLOPE_SHARE = 0.03, 0.1  # fitted normals are off by so much, steep ones by so much of their slope

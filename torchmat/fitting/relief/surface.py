@@ -21,7 +21,7 @@ from torchmat.btf.store import CLIPPED, INVALID, VALID, summarise
 from torchmat.fitting.relief.window import Window, surroundings
 from torchmat.fitting.training import Training
 from torchmat.geometry import slopes_from_height
-from torchmat.geometry.relief import look_up, ray_slope, soft_shadow, texel_centres, visible
+from torchmat.geometry.rays import look_up, ray_slope, soft_shadow, texel_centres, visible
 from torchmat.progress import progress
 from torchmat.repeatable import one_thread
 
@@ -185,19 +185,16 @@ def ambient_and_usual(surface: Surface) -> tuple[Tensor, Tensor]:
 
 
 def without_shadow(surface: Surface, ambient: Tensor) -> Training:
-    """Return training samples ``(value - ambient) / lit`` of what is lit; the rest has no weight.
-
-    The surface's own pixels are rewritten, so it can be used for nothing else afterwards.
-    """
+    """Return training samples ``(value - ambient) / lit`` of what is lit; the rest has no weight."""
     btf = surface.training.btf
+    pixels, flags = _space(surface.pixels.shape, surface.pixels.dtype), _space(surface.flags.shape, np.uint8)
     for block in btf.blocks(None, surface.training.dtype):
         rows = slice(block.samples.start, block.samples.stop)
         lit = surface.shadow(block.samples)
         direct = (block.images - ambient) / lit.clamp(min=_LIT)
-        surface.pixels[rows] = direct.numpy()
-        flags = surface.flags[rows]
-        flags[(lit[:, 0] < _LIT).numpy()] = INVALID
-    store = summarise(surface.pixels, surface.flags)
-    decoder = Decoder(surface.pixels.dtype, "linear", 1.0)
+        pixels[rows] = direct.numpy()
+        flags[rows] = np.where((lit[:, 0] < _LIT).numpy(), INVALID, surface.flags[rows])
+    store = summarise(pixels, flags)
+    decoder = Decoder(pixels.dtype, "linear", 1.0)
     bare = Btf(store, btf.light, btf.view, decoder, btf.source, btf.clipped_weight)
     return replace(surface.training, btf=bare)

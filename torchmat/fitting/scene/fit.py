@@ -78,9 +78,9 @@ def fit_for_scene(
 
 
 def _check_together(config: FitConfig, work: str | Path | None) -> None:
-    if config.model == AUTO or config.tile or config.memory_mb or work is not None:
+    if config.model == AUTO or config.tile_size or config.memory_mb or work is not None:
         fact = f"the model is {AUTO}" if config.model == AUTO else "tiles are wanted"
-        step = "Name a model, and leave tile, memory_mb and work out: a scene makes the work small itself."
+        step = "Name a model, and leave tile_size, memory_mb and work out: a scene makes the work small itself."
         raise RangeError(message("fit", "scene", "name its model and come without tiles", fact, step))
 
 

@@ -69,17 +69,17 @@ def _overall(reasons: set[str]) -> str:
 
 
 def fit_tiled(
-    training: Training, model: str, options: dict[str, Any], geometry: Geometry, tile: int, memory_mb: float,
+    training: Training, model: str, options: dict[str, Any], geometry: Geometry, tile_size: int, memory_mb: float,
     work: str | Path | None,
 ) -> Fitted:
     """Fit a model tile by tile; with `work`, go on where an earlier run of the same fit was stopped.
 
     Finished tiles are kept in that folder, written whole or not at all; it stays until `clear_work`.
     """
-    folder = None if work is None else open_work(work, training, model, options, geometry, tile, memory_mb)
+    folder = None if work is None else open_work(work, training, model, options, geometry, tile_size, memory_mb)
     plan = None if folder is None else folder.load_plan()
     if plan is None:
-        plan = plan_tiles(training, model, options, geometry, tile, memory_mb)
+        plan = plan_tiles(training, model, options, geometry, tile_size, memory_mb)
         if folder is not None:
             folder.save_plan(plan)
     return join_tiles(plan, _parts(training, plan, folder))

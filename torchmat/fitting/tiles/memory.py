@@ -25,7 +25,8 @@ def _texel_bytes(training: Training, model: str, relief: bool) -> float:
     wide = training.dtype.itemsize / 4
     tiling = recipe_of(model).tiling
     samples = int(training.used.sum()) if relief or tiling.holds_samples else 0
-    return wide * tiling.bytes_per_texel + samples * (12 * wide + 1)
+    copies = 2 if relief and not tiling.holds_samples else 1  # with and without shadow
+    return wide * tiling.bytes_per_texel + copies * samples * (12 * wide + 1)
 
 
 def _fixed_mb(training: Training, model: str, relief: bool) -> float:
@@ -51,18 +52,18 @@ def most_texels(training: Training, model: str, relief: bool, memory_mb: float) 
 
 
 def choose_side(
-    training: Training, model: str, material: Material, relief: bool, tile: int, memory_mb: float
+    training: Training, model: str, material: Material, relief: bool, tile_size: int, memory_mb: float
 ) -> int:
     """Return the side of the tiles; raises RangeError when not even small ones fit into `memory_mb`."""
     if not memory_mb:
-        return tile or USUAL_SIDE
+        return tile_size or USUAL_SIDE
     left = memory_mb - _fixed_mb(training, model, relief) - _joined_mb(material, training)
     _require(training, model, relief, memory_mb, left)
     side = math.isqrt(int(left * _MB / _texel_bytes(training, model, relief)))
-    if tile > side:
-        step = f"Use tile={side} at most, or 0 to have it chosen."
-        raise RangeError(message("fit", "tile", f"fit into {memory_mb:g} MB", f"it is {tile}", step))
-    return tile or max(_LEAST_SIDE, min(_MOST_SIDE, side // _STEP * _STEP))
+    if tile_size > side:
+        step = f"Use tile_size={side} at most, or 0 to have it chosen."
+        raise RangeError(message("fit", "tile_size", f"fit into {memory_mb:g} MB", f"it is {tile_size}", step))
+    return tile_size or max(_LEAST_SIDE, min(_MOST_SIDE, side // _STEP * _STEP))
 
 
 def require_recovery(memory_mb: float) -> None:

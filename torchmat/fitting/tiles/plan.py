@@ -10,11 +10,11 @@ import torch.nn.functional as functional
 from torch import Tensor
 
 from torchmat.btf import Btf
-from torchmat.errors import RangeError, message
+from torchmat.errors import FitError, RangeError, message
 from torchmat.fitting.fewer_texels import averaged
 from torchmat.fitting.geometry import Flat, Geometry, Given, check_height
 from torchmat.fitting.models.any_model import DESCENTS
-from torchmat.fitting.on_relief import compare_with_flat, fit_flat, fit_on_relief
+from torchmat.fitting.on_relief import compare_with_flat, fit_flat, fit_on_relief, not_recovered
 from torchmat.fitting.recipe import recipe_of
 from torchmat.fitting.relief.recover import recover_relief
 from torchmat.fitting.relief.surface import Sight, look_along
@@ -92,11 +92,11 @@ def fit_part(
 
 
 def plan_tiles(
-    training: Training, model: str, options: dict[str, Any], geometry: Geometry, tile: int, memory_mb: float
+    training: Training, model: str, options: dict[str, Any], geometry: Geometry, tile_size: int, memory_mb: float
 ) -> TilePlan:
     """Find what all texels share on an even choice of them, and how large tiles may be.
 
-    `tile` is their side, 0 as large as `memory_mb` allows; with `memory_mb` 0 memory is no concern. Raises RangeError
+    `tile_size` is their side, 0 as large as `memory_mb` allows; with `memory_mb` 0 memory is no concern. Raises RangeError
     when that memory is too little, and for models that are not fitted by tiles.
     """
     recipe = recipe_of(model)
@@ -118,7 +118,7 @@ def plan_tiles(
     fitted = fit_part(own, model, options, height, some, sight)
     if recipe.tiling.settle is not None:
         options, fitted = recipe.tiling.settle(options, fitted)
-    side = choose_side(training, model, fitted.material, height is not None, tile, memory_mb)
+    side = choose_side(training, model, fitted.material, height is not None, tile_size, memory_mb)
     texels = -(-btf.height // step) * -(-btf.width // step)
     figures = {**fitted.figures, **found}
     size, reason = (btf.height, btf.width), fitted.stop_reason
@@ -143,8 +143,13 @@ def _height(
         return check_height(geometry.height, training.btf).to(training.dtype), None, {}
     if isinstance(geometry, Flat):
         return None, None, {}
-    require_recovery(memory_mb)
-    recovery = recover_relief(training)
+    try:
+        require_recovery(memory_mb)
+        recovery = recover_relief(training)
+    except (FitError, RangeError) as error:
+        if not geometry.or_flat:
+            raise
+        return None, None, {"geometry": not_recovered(error)}
     relief, figures = recovery.relief, recovery.figures()
     chosen = "flat"
     if float(relief.height.abs().max()) > 0 and not training.watch.spent:

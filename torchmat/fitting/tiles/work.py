@@ -69,12 +69,12 @@ class Work:
 
 
 def open_work(
-    path: str | Path, training: Training, model: str, options: dict[str, Any], geometry: Geometry, tile: int,
+    path: str | Path, training: Training, model: str, options: dict[str, Any], geometry: Geometry, tile_size: int,
     memory_mb: float,
 ) -> Work:
     """Open the folder of a fit, or make it; raises DataError for a folder of another fit, or of anything else."""
     path = Path(path)
-    key = fit_key(training, model, options, geometry, tile, memory_mb)
+    key = fit_key(training, model, options, geometry, tile_size, memory_mb)
     refuse_foreign(path, lambda name: _NAMES.fullmatch(name.split("/")[0]) is not None, "the work of a fit")
     known = None
     with suppress(OSError, ValueError, AttributeError):  # what cannot be read says nothing, and is written anew
@@ -101,13 +101,13 @@ def clear_work(path: str | Path) -> None:
 
 
 def fit_key(
-    training: Training, model: str, options: dict[str, Any], geometry: Geometry, tile: int, memory_mb: float
+    training: Training, model: str, options: dict[str, Any], geometry: Geometry, tile_size: int, memory_mb: float
 ) -> str:
     """Return a text that differs for fits whose tiles may differ: config, data and versions."""
     digest = hashlib.sha256()
     found = versions()
     told = [
-        _FORMAT, {name: found[name] for name in ("torchmat", "torch")}, model, sorted(options.items()), tile, memory_mb,
+        _FORMAT, {name: found[name] for name in ("torchmat", "torch")}, model, sorted(options.items()), tile_size, memory_mb,
         training.seed, training.tiles, str(training.dtype), geometry.word,
         training.btf.identity(),
     ]

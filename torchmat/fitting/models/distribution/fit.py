@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, Literal
 
 import torch
 from torch import Tensor
@@ -49,20 +49,21 @@ _PILOTS_SHARE = 0.08  # of a limit of seconds, for each pilot
 
 
 def fit_distribution(
-    training: Training, *, lobes: int = 0, specular: str = "yes", fresnel: str = "auto", rotation: str = "auto",
-    tilt: str = "no", normal: str = "yes", specular_mask: str = "yes", specular_size: int = 48, effort: float = 1.0,
-    solver: str = "minibatch", storage: str = "png8",
+    training: Training, *, lobes: int | Literal["auto"] = "auto", fresnel: bool | Literal["auto"] = "auto",
+    rotation: bool | Literal["auto"] = "auto", tilt: bool | Literal["auto"] = False, normal: bool = True,
+    specular_mask: bool = True, specular_size: int = 48, effort: float = 1.0, solver: str = "minibatch",
+    storage: str = "png8",
 ) -> Fitted:
     """Fit the distribution material to a flat surface.
 
-    `lobes` is the number K of specular maps, 0 lets the data choose up to 3; `specular` "no" leaves them out with all
-    that belongs to them. `fresnel`, `rotation` and `tilt` are "auto", "yes" or "no": a part is kept if a short pilot run
-    on part of the samples gains 0.08 dB by it on the rest. `normal` and `specular_mask` "no" save those maps.
+    `lobes` is the number K of specular maps, "auto" lets the data choose 1 to 3; 0 leaves them out with all that belongs
+    to them. `fresnel`, `rotation` and `tilt` are true, false or "auto": a part is kept if a short pilot run on part of
+    the samples gains 0.08 dB by it on the rest. `normal` and `specular_mask` false save those maps.
     `specular_size` is the side of the specular maps, `effort` multiplies the number of steps, and `solver` is "minibatch"
     (Adam on random images), or "adam" or "lbfgs" on all at once.
     """
     given = DistributionOptions(
-        lobes, specular, fresnel, rotation, tilt, normal, specular_mask, specular_size, effort, solver, storage
+        lobes, fresnel, rotation, tilt, normal, specular_mask, specular_size, effort, solver, storage
     )
     flat = torch.zeros(1, training.btf.height, training.btf.width, dtype=training.dtype)
     return _Fit(bring_onto(training, flat), None, given).run()
@@ -186,14 +187,12 @@ class _Fit:
         """Climb from one lobe alone: keep what pays in pilot runs."""
         given = self.options
         optional = ("fresnel", "rotation", "tilt")
-        parts = Parts(
-            max(1, given.lobes), *(getattr(given, name) == "yes" for name in optional), given.normal == "yes",
-            given.specular_mask == "yes",
-        )
-        if given.specular == "no":
-            return replace(parts, lobes=0), []
+        lobes = 1 if given.lobes == "auto" else given.lobes
+        parts = Parts(lobes, *(getattr(given, name) is True for name in optional), given.normal, given.specular_mask)
+        if lobes == 0:
+            return parts, []
         trials = [lambda p, n=name: replace(p, **{n: True}) for name in optional if getattr(given, name) == "auto"]
-        if given.lobes == 0:
+        if given.lobes == "auto":
             trials += [lambda p, k=k: replace(p, lobes=k) if p.lobes == k - 1 else p for k in range(2, _MOST_LOBES + 1)]
         if not trials or len(self.surface.training.btf) < 20:
             return parts, []

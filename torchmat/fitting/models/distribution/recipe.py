@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from torchmat.fitting.geometry import RECOVER
 from torchmat.fitting.models.distribution.fit import fit_distribution, fit_distribution_on_relief
 from torchmat.fitting.models.distribution.options import DISTRIBUTION_SOLVERS
 from torchmat.fitting.models.distribution.parameters import DistributionShared, to_one
@@ -16,7 +17,7 @@ from torchmat.models.edit import without_idle_parts
 def _settle(options: dict[str, Any], fitted: Fitted) -> tuple[dict[str, Any], Fitted]:
     """Return options that leave nothing to decide, and the fit with specular maps of the scale that tiles take."""
     parts, lobes = (fitted.material.options[name] for name in ("parts", "lobes"))
-    chosen = {part: "yes" if part in parts else "no" for part in ("fresnel", "rotation", "tilt")}
+    chosen = {part: part in parts for part in ("fresnel", "rotation", "tilt")}
     if lobes:
         fitted = fitted.with_material(fitted.material.with_maps(specular=fitted.shared.specular))
     return {**options, "lobes": lobes, **chosen}, fitted
@@ -29,18 +30,18 @@ def _bytes_of_lobe(material: Distribution) -> float:
 
 
 _LADDER = Ladder(
-    bare={"lobes": 1, "fresnel": "no", "rotation": "no", "normal": "no", "specular_mask": "no", "tilt": "no"},
+    bare={"lobes": 1, "fresnel": False, "rotation": False, "normal": False, "specular_mask": False, "tilt": False},
     parts=(
-        Part("mask", 1, {"specular_mask": "yes"}), Part("Fresnel", 1, {"fresnel": "yes"}),
-        Part("rotation", 2, {"rotation": "yes"}), Part("normal", 3, {"normal": "yes"}), Part("2 lobes", 2, {"lobes": 2}),
-        Part("3 lobes", 1, {"lobes": 3}), Part("tilt", 0, {"tilt": "yes"}),
+        Part("specular_mask", 1, {"specular_mask": True}), Part("fresnel", 1, {"fresnel": True}),
+        Part("rotation", 2, {"rotation": True}), Part("normal", 3, {"normal": True}), Part("2 lobes", 2, {"lobes": 2}),
+        Part("3 lobes", 1, {"lobes": 3}), Part("tilt", 0, {"tilt": True}),
     ),
     bytes=4, bytes_of_lobe=_bytes_of_lobe, without_idle_parts=without_idle_parts,
 )
 DISTRIBUTION = Recipe(
     Distribution, fit_distribution, solvers=DISTRIBUTION_SOLVERS, solvers_differ=True, ladder=_LADDER, on_relief=fit_distribution_on_relief,
     # What a relief is worth shows long before the last step.
-    quick={"lobes": 1, "fresnel": "yes", "rotation": "yes", "effort": 0.15},
-    shared=DistributionShared,
+    quick={"lobes": 1, "fresnel": True, "rotation": True, "effort": 0.15},
+    shared=DistributionShared, geometry=RECOVER,
     tiling=Tiling(4096, _settle, to_one, bytes_per_texel=24_000, holds_samples=True),
 )

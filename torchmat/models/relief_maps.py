@@ -7,14 +7,14 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torchmat.geometry.relief import look_up, soft_shadow, texel_centres, trace_view
+from torchmat.geometry.rays import look_up, soft_shadow, texel_centres, trace_view
 from torchmat.models.storage import MapSpec
 from torchmat.planes import common_lead
 
 # A 16-bit integer spans just the heights that occur; half precision would show as steps in the normals.
 HEIGHT = MapSpec("height", "height over the plane of the images, texture widths", layer_channels=1, storage="png16")
 AMBIENT = MapSpec("ambient", "light by way of other texels, for a light of 1", low=0.0, colour=True, linear=True)
-PARTS = (HEIGHT, AMBIENT)
+RELIEF_MAPS = (HEIGHT, AMBIENT)
 _RAYS = ((-0.25, -0.25), (0.25, -0.25), (-0.25, 0.25), (0.25, 0.25))  # where in a texel its rays start
 
 

@@ -8,8 +8,8 @@ from typing import Any
 
 from torchmat import atomic
 from torchmat.btf import Btf, split_samples
-from torchmat.errors import RangeError, check_option, message
-from torchmat.fitting.geometry import GEOMETRIES
+from torchmat.errors import RangeError, message
+from torchmat.fitting.geometry import resolve_geometry
 from torchmat.fitting.recipe import RECIPES, Recipe
 from torchmat.fitting.recipes import resolve_options
 from torchmat.progress import progress as progress_bar
@@ -47,13 +47,14 @@ _FILES = ("comparison.json", "comparison.csv", "comparison.html", *(f"{name}.png
 
 def compare(
     btf: Btf, models: Sequence[str] | None = None, *, budget: float | None = None, repeats: int = 1,
-    geometry: str = "flat", curves: bool = True, holdout: float = 0.2, holdout_by: str = "pair", seed: int = 0,
+    geometry: Any = None, curves: bool = True, holdout: float = 0.2, holdout_by: str = "pair", seed: int = 0,
     progress: bool | None = None, each: Callable[[list[dict[str, Any]]], Any] | None = None,
 ) -> list[dict[str, Any]]:
     """Fit each model on the same split; return a row each: error, bytes, seconds, memory, shading rate, full report.
 
     None compares all registered models (`default_models`). A model is a name, or a name with options: ``"hsh:terms=9"``, ``"phong_srf:solver=adam"``,
-    ``"lambert:geometry=recover"``; `geometry` is that of all whose text says nothing of it. `budget` is how many
+    ``"lambert:geometry=recover"``; `geometry`, as `fit` takes it (a word, a height map or the path of one), is that of all whose text
+    says nothing of it; None leaves each to its own way. `budget` is how many
     seconds an iterative solver may take, which then stops with the best it has. With `repeats` each model is fitted so
     often, on the same split from the same seed: seconds are the median, with their spread, and `same_bits` says whether
     the result was the same. `curves` adds to the rows of iterative solvers the error on some held-out samples against
@@ -80,15 +81,15 @@ def compare(
     return rows
 
 
-def _entries(models: Sequence[str], geometry: str) -> list[Entry]:
-    check_option("compare", "geometry", geometry, GEOMETRIES)
+def _entries(models: Sequence[str], geometry: Any) -> list[Entry]:
+    surface = None if geometry is None else resolve_geometry(geometry)
     if isinstance(models, str) or not models:
         step = "Leave it out for all families."
         raise RangeError(message("compare", "models", "be a list of at least one", f"it is {models!r}", step))
-    entries = [entry_of(text, geometry) for text in models]
+    entries = [entry_of(text, surface) for text in models]
     seen: dict[str, str] = {}
     for entry in entries:
-        key = repr((entry.model, entry.geometry, sorted(resolve_options(entry.model, entry.options).items())))
+        key = repr((entry.model, entry.geometry.word, entry.asked, sorted(resolve_options(entry.model, entry.options).items())))
         if key in seen:
             fact = f"{entry.text!r} is the same as {seen[key]!r}"
             raise RangeError(message("compare", "the models", "differ", fact, "Use repeats to fit one several times."))
