@@ -26,9 +26,9 @@ ROOMS_THAT_DO_NOT_MEET["models"] = {"btf"}
 
 PUBLIC = {
     "Brdf", "Btf", "Camera", "DataError", "Directional", "FitConfig", "FitError", "FitResult", "Material", "Point",
-    "RangeError", "RawBtf", "Recipe", "Scene", "ShapeError", "TorchmatError", "compare", "environment_lights", "evaluate",
-    "fit", "load_brdf", "load_btf", "load_config", "load_material", "pack", "recover_geometry", "refit", "register",
-    "render", "sample_path", "sample_truth", "save_material", "split_samples",
+    "RangeError", "RawBtf", "Reader", "Recipe", "Scene", "ShapeError", "TorchmatError", "compare", "environment_lights",
+    "evaluate", "fit", "load_brdf", "load_btf", "load_config", "load_material", "pack", "recover_geometry", "refit",
+    "register", "register_reader", "render", "sample_path", "sample_truth", "save_material", "split_samples",
 }
 
 

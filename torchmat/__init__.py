@@ -1,7 +1,7 @@
 """Editable texture maps from photographs of a material under many lights and views."""
 
 from torchmat.brdf import Brdf, load_brdf
-from torchmat.btf import Btf, load_btf, split_samples
+from torchmat.btf import Btf, Reader, load_btf, register_reader, split_samples
 from torchmat.btf.interpolated import RawBtf
 from torchmat.errors import DataError, FitError, RangeError, ShapeError, TorchmatError
 from torchmat.fitting import (
@@ -18,7 +18,7 @@ __version__ = package_version()
 
 __all__ = [
     "Brdf", "Btf", "Camera", "DataError", "Directional", "FitConfig", "FitError", "FitResult", "Material", "Point",
-    "RangeError", "RawBtf", "Recipe", "Scene", "ShapeError", "TorchmatError", "compare", "environment_lights", "evaluate",
-    "fit", "load_brdf", "load_btf", "load_config", "load_material", "pack", "recover_geometry", "refit", "register",
-    "render", "sample_path", "sample_truth", "save_material", "split_samples",
+    "RangeError", "RawBtf", "Reader", "Recipe", "Scene", "ShapeError", "TorchmatError", "compare", "environment_lights",
+    "evaluate", "fit", "load_brdf", "load_btf", "load_config", "load_material", "pack", "recover_geometry", "refit",
+    "register", "register_reader", "render", "sample_path", "sample_truth", "save_material", "split_samples",
 ]

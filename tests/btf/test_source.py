@@ -11,7 +11,7 @@ import pytest
 from tests.btf.files import members_of, put_btf, random_codes, zip_of, zipped
 
 from torchmat import DataError, load_btf
-from torchmat.btf.source import open_source
+from torchmat.btf.readers import open_source
 
 
 def test_names_and_content_of_a_folder(tmp_path):

@@ -27,8 +27,9 @@ import torch
 
 from torchmat import atomic
 from torchmat.btf.listing import Listing
-from torchmat.btf.pixels import Normaliser, PixelOptions, checksum, decode_files, read_pixels
-from torchmat.btf.source import Folder, Zip
+from torchmat.btf.pixels import Normaliser, PixelOptions, checksum, decode_samples
+from torchmat.btf.readers import open_pixels
+from torchmat.btf.source import File, Folder, Zip
 from torchmat.btf.store import PixelStore
 from torchmat.errors import DataError, RangeError, message
 from torchmat.text_file import read_text
@@ -76,15 +77,16 @@ def store_name(path: Path, options: object) -> str:
     return hashlib.sha256(key.encode("utf-8", "surrogateescape")).hexdigest()[:24]
 
 
-def _write(source: Folder | Zip, listing: Listing, folder: Path, options: PixelOptions, show: bool | None) -> None:
-    """Decode every file of `listing` into a store in `folder`."""
-    first = listing.files[0]
-    normalise = Normaliser(read_pixels(source, first), options, f"{source.path}: {first}")
-    shape = (len(listing.files), *normalise.out_shape)
-    _require_space(folder, math.prod(shape) * normalise.out_dtype.itemsize)
-    pixels = np.memmap(folder / _PIXELS, normalise.out_dtype, "w+", shape=shape)
-    flags = np.memmap(folder / _FLAGS, np.uint8, "w+", shape=(shape[0], *shape[2:]))
-    table = decode_files(source, listing.files, normalise, pixels, flags, show)
+def _write(source: File | Folder | Zip, listing: Listing, folder: Path, options: PixelOptions, show: bool | None) -> None:
+    """Decode every sample of `listing` into a store in `folder`."""
+    names = [f"{source.path}: {name}" for name in listing.files]
+    with open_pixels(source, listing) as images:
+        normalise = Normaliser(images.shape, images.dtype, options, names[0])
+        shape = (len(names), *normalise.out_shape)
+        _require_space(folder, math.prod(shape) * normalise.out_dtype.itemsize)
+        pixels = np.memmap(folder / _PIXELS, normalise.out_dtype, "w+", shape=shape)
+        flags = np.memmap(folder / _FLAGS, np.uint8, "w+", shape=(shape[0], *shape[2:]))
+        table = decode_samples(images, names, normalise, pixels, flags, show)
     files = np.array(listing.files)
     np.savez(folder / _TABLE, light=listing.light.numpy(), view=listing.view.numpy(), files=files, **table)
     header = {
@@ -189,7 +191,7 @@ def _prune(root: Path, keep: Path, limit: float) -> None:
 
 
 def _make_uncached(
-    source: Folder | Zip, listing: Listing, options: PixelOptions, show: bool | None
+    source: File | Folder | Zip, listing: Listing, options: PixelOptions, show: bool | None
 ) -> OpenStore | None:
     try:
         folder = Path(tempfile.mkdtemp(prefix="torchmat-store-"))
@@ -207,7 +209,7 @@ def _make_uncached(
 
 
 def _make(
-    source: Folder | Zip, listing: Listing, target: Path, options: PixelOptions, show: bool | None
+    source: File | Folder | Zip, listing: Listing, target: Path, options: PixelOptions, show: bool | None
 ) -> OpenStore | None:
     """Make the store `target` and open it; return None when something removed it in between."""
     limit = _limit_bytes()
@@ -226,7 +228,7 @@ def _make(
 
 
 def open_store(
-    source: Folder | Zip, list_files: Callable[[], Listing], key: object, options: PixelOptions,
+    source: File | Folder | Zip, list_files: Callable[[], Listing], key: object, options: PixelOptions,
     cache: bool | str | Path, show: bool | None,
 ) -> OpenStore:
     """Return the decoded store of `source`, from the cache when it holds one that is up to date.

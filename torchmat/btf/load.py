@@ -17,8 +17,8 @@ from torchmat.btf.cache import open_store
 from torchmat.btf.decode import ENCODINGS, Decoder, resolve_encoding
 from torchmat.btf.listing import Listing
 from torchmat.btf.pixels import PixelOptions
-from torchmat.btf.readers import read_listing
-from torchmat.btf.source import open_source
+from torchmat.btf.reader import READERS
+from torchmat.btf.readers import open_source, read_listing, reading_key
 from torchmat.btf.store import PixelStore
 from torchmat.errors import RangeError, check_option, check_positive, message
 
@@ -43,17 +43,17 @@ def load_btf(
     cache: bool | str | Path = True,
     progress: bool | None = None,
 ) -> Btf:
-    """Load a measured BTF or RTI capture from a folder or a zip.
+    """Load a measured BTF or RTI capture from a folder, a zip, or a file that a registered reader takes.
 
-    A path to the ``manifest.csv`` or ``.lp`` file itself means its folder. `kind` is "ubo2003", "utia", "manifest" or
-    "rti"; None finds it from the names. Values come out linear, divided by `exposure`; `encoding` "auto" reads integer
-    files as sRGB and floating-point files as linear. `crop` is (top, left, height, width) in texels, `downscale` a
-    whole factor averaged in linear light (rows and columns left over are dropped). `lights` and `views` keep only the
-    directions with those numbers in the order of ``btf.lights``, ``btf.views``. NaN and Inf are an error unless
-    `invalid` is "mask" (weight 0); repeated directions are one unless `duplicates` is "keep"; directions that are not
-    unit are one unless `normalise`. Samples at the largest 8- or 16-bit code are clipped: they count
-    `clipped_weight` in a fit. Where images have alpha, what it covers less than half has weight 0. `cache` is True
-    (the user's cache folder, or $TORCHMAT_CACHE), a folder, or False.
+    A path to the ``manifest.csv`` or ``.lp`` file itself means its folder. `kind` is "ubo2003", "utia", "manifest",
+    "rti" or the name of another reader (`register_reader`); None finds it from the content. Values come out linear,
+    divided by `exposure`; `encoding` "auto" reads integer files as sRGB and floating-point files as linear. `crop` is
+    (top, left, height, width) in texels, `downscale` a whole factor averaged in linear light (rows and columns left
+    over are dropped). `lights` and `views` keep only the directions with those numbers in the order of ``btf.lights``,
+    ``btf.views``. NaN and Inf are an error unless `invalid` is "mask" (weight 0); repeated directions are one unless
+    `duplicates` is "keep"; directions that are not unit are one unless `normalise`. Samples at the largest 8- or 16-bit
+    code are clipped: they count `clipped_weight` in a fit. Where images have alpha, what it covers less than half has
+    weight 0. `cache` is True (the user's cache folder, or $TORCHMAT_CACHE), a folder, or False.
 
     Raises DataError, ShapeError or RangeError, each naming the file.
     """
@@ -72,11 +72,13 @@ def load_btf(
         invalid=invalid,
         encoding=encoding if downscale > 1 else "auto",  # without averaging the codes are stored as they are
     )
-    source = open_source(path)
+    if kind is not None:
+        check_option("load_btf", "kind", kind, READERS)
+    source = open_source(path, kind)
     try:
         opened = open_store(
-            source, lambda: read_listing(source, kind, duplicates, normalise), (kind, duplicates, normalise),
-            options, cache, progress,
+            source, lambda: read_listing(source, kind, duplicates, normalise),
+            (*reading_key(source, kind), duplicates, normalise), options, cache, progress,
         )
     finally:
         source.close()

@@ -8,6 +8,8 @@ import re
 import torch
 
 from torchmat.btf.listing import FileNames, Listing, read_text, the_one
+from torchmat.btf.pixels import images_of_files
+from torchmat.btf.reader import Reader
 from torchmat.btf.source import Folder, Zip
 from torchmat.errors import DataError, message
 
@@ -45,12 +47,16 @@ def _read_line(where: str, line: str, known: FileNames) -> tuple[str, list[float
     return known.find(where, text), light
 
 
+def _is_lp(name: str) -> bool:
+    return name.lower().endswith(".lp")
+
+
 def read_lp(source: Folder | Zip) -> Listing:
     """Parse an RTI ``.lp`` file: ``name x y z`` or ``x y z name`` a line, with or without a leading count line.
 
     The camera looks along the normal. A running number before either is allowed, and lines that start with ``#``.
     """
-    name = the_one(source, lambda n: n.lower().endswith(".lp"), "an .lp file")
+    name = the_one(source, _is_lp, "an .lp file")
     where = f"{source.path}: {name}"
     lines = [line.strip() for line in read_text(source, name).splitlines()]
     numbered = [(number, line) for number, line in enumerate(lines, 1) if line and not line.startswith("#")]
@@ -68,3 +74,9 @@ def read_lp(source: Folder | Zip) -> Listing:
     view = torch.tensor([[0.0, 0.0, 1.0]], dtype=torch.float64).repeat(len(found), 1)
     light = torch.tensor([light for _, light in found], dtype=torch.float64)
     return Listing("rti", tuple(file for file, _ in found), light, view)
+
+
+RTI = Reader(
+    "rti", "RTI: an `.lp` file with a light for each photograph", lambda source: any(map(_is_lp, source.names)), read_lp,
+    images_of_files, version=0,
+)

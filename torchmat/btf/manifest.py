@@ -13,6 +13,8 @@ import torch
 from torch import Tensor
 
 from torchmat.btf.listing import FileNames, Listing, from_degrees, read_text, the_one
+from torchmat.btf.pixels import images_of_files
+from torchmat.btf.reader import Reader
 from torchmat.btf.source import Folder, Zip
 from torchmat.errors import DataError, message
 
@@ -112,9 +114,13 @@ def _table(where: str, text: str) -> tuple[list[str], list[tuple[int, dict[str, 
     return header, [(number, dict(zip(header, cells, strict=True))) for number, cells in lines[1:]]
 
 
+def _is_manifest(name: str) -> bool:
+    return PurePosixPath(name).name.lower() == "manifest.csv"
+
+
 def read_manifest(source: Folder | Zip) -> Listing:
     """Parse ``manifest.csv``: a column `file`, and light and view as polar and azimuth (deg or rad) or x, y, z."""
-    name = the_one(source, lambda n: PurePosixPath(n).name.lower() == "manifest.csv", "manifest.csv")
+    name = the_one(source, _is_manifest, "manifest.csv")
     where = f"{source.path}: {name}"
     header, rows = _table(where, read_text(source, name))
     if "file" not in header:
@@ -130,3 +136,9 @@ def read_manifest(source: Folder | Zip) -> Listing:
             target.append(column.read(line, row))
     light, view = (column.directions(where, target) for column, target in zip(columns, values, strict=True))
     return Listing("manifest", tuple(files), light, view)
+
+
+MANIFEST = Reader(
+    "manifest", "a `manifest.csv` with a line for each image", lambda source: any(map(_is_manifest, source.names)),
+    read_manifest, images_of_files, version=0,
+)

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import os
+import threading
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
@@ -12,6 +13,8 @@ import numpy as np
 import torch
 
 from torchmat.btf.decode import Decoder, resolve_encoding
+from torchmat.btf.listing import Listing
+from torchmat.btf.reader import Pixels
 from torchmat.btf.source import Folder, Zip
 from torchmat.btf.store import CLIPPED, INVALID
 from torchmat.errors import DataError, ShapeError, message
@@ -19,6 +22,7 @@ from torchmat.images import read_image
 from torchmat.progress import progress
 
 _CHUNK = 64  # images that one thread decodes in a go; smaller tasks spend their time in hand-over
+_CHUNK_BYTES = 2**28  # of them: a container may give all of a go at once
 
 
 @dataclass(frozen=True)
@@ -48,14 +52,13 @@ def split_channels(pixels: np.ndarray, where: str) -> tuple[np.ndarray, np.ndarr
 
 
 class Normaliser:
-    """Brings one decoded file to codes [3, H, W] and flags [H, W], and refuses what does not fit the others."""
+    """Brings the `window` (rows, columns) of a decoded image to codes [3, H, W] and flags [H, W]."""
 
-    def __init__(self, first: np.ndarray, options: PixelOptions, where: str) -> None:
-        self.shape, self.dtype = first.shape, first.dtype
+    def __init__(self, shape: tuple[int, int, int], dtype: np.dtype, options: PixelOptions, where: str) -> None:
         self.options = options
-        self.decoder = Decoder(first.dtype, resolve_encoding(options.encoding, first.dtype), 1.0)
-        height, width = first.shape[:2]
-        split_channels(first, where)
+        self.decoder = Decoder(dtype, resolve_encoding(options.encoding, dtype), 1.0)
+        height, width, channels = shape
+        split_channels(np.empty((0, 0, channels), dtype), where)
         self.window = self._window(height, width, where)
         rows, columns = (axis.stop - axis.start for axis in self.window)
         factor = options.downscale
@@ -64,7 +67,7 @@ class Normaliser:
             step = "Use a smaller factor, 1 for none."
             raise ShapeError(message(where, "downscale", "be a whole number that leaves a texel", fact, step))
         self.out_shape = (3, rows // factor, columns // factor)
-        self.out_dtype = np.dtype(np.float32) if factor > 1 else first.dtype
+        self.out_dtype = np.dtype(np.float32) if factor > 1 else dtype
 
     def _window(self, height: int, width: int, where: str) -> tuple[slice, slice]:
         if self.options.crop is None:
@@ -76,11 +79,7 @@ class Normaliser:
         return slice(top, top + rows), slice(left, left + columns)
 
     def __call__(self, pixels: np.ndarray, where: str) -> tuple[np.ndarray, np.ndarray]:
-        if pixels.shape != self.shape or pixels.dtype != self.dtype:
-            fact = f"it is {pixels.shape} {pixels.dtype}, the first image is {self.shape} {self.dtype}"
-            step = "Bring all images to one size, channel count and bit depth."
-            raise ShapeError(message(where, "the image", "match the others", fact, step))
-        codes, alpha = split_channels(pixels[self.window], where)
+        codes, alpha = split_channels(pixels, where)
         flags = np.zeros(codes.shape[1:], dtype=np.uint8)
         if self.decoder.full_code is not None:
             flags[(codes == self.decoder.full_code).any(axis=0)] = CLIPPED
@@ -124,24 +123,54 @@ def read_pixels(source: Folder | Zip, name: str) -> np.ndarray:
             raise DataError(str(error).replace(str(path), f"{source.path}: {name}")) from error
 
 
+def images_of_files(source: Folder | Zip, listing: Listing) -> Pixels:
+    """Return the pixels of image files, which must have one size, channel count and depth."""
+    first = read_pixels(source, listing.files[0])
+
+    def read(samples: range, rows: slice, columns: slice) -> Iterator[np.ndarray]:
+        for sample in samples:
+            name = listing.files[sample]
+            pixels = read_pixels(source, name)
+            if pixels.shape != first.shape or pixels.dtype != first.dtype:
+                fact = f"it is {pixels.shape} {pixels.dtype}, the first image is {first.shape} {first.dtype}"
+                step = "Bring all images to one size, channel count and bit depth."
+                raise ShapeError(message(f"{source.path}: {name}", "the image", "match the others", fact, step))
+            yield pixels[rows, columns]
+
+    return Pixels(first.shape, first.dtype, read, parallel=True)
+
+
 def checksum(codes: np.ndarray, flags: np.ndarray) -> int:
     """Return the CRC-32 of an image's codes [3, H, W] and flags [H, W]."""
     return zlib.crc32(np.ascontiguousarray(flags), zlib.crc32(np.ascontiguousarray(codes)))
 
 
-def decode_files(
-    source: Folder | Zip, files: tuple[str, ...], normalise: Normaliser, pixels: np.ndarray, flags: np.ndarray,
-    show: bool | None,
+def decode_samples(
+    images: Pixels, names: list[str], normalise: Normaliser, pixels: np.ndarray, flags: np.ndarray, show: bool | None
 ) -> dict[str, np.ndarray]:
-    """Decode `files` in threads into `pixels` [n, 3, H, W] and `flags` [n, H, W]; return the store's other fields."""
-    count = len(files)
+    """Decode all samples in threads into `pixels` [n, 3, H, W] and `flags` [n, H, W]; return the store's other fields.
+
+    `names` [n] is what errors call each sample.
+    """
+    count = len(names)
     table = {name: np.zeros(count, dtype=np.int64) for name in ("clipped", "invalid")}
     table |= {name: np.zeros(count, dtype=normalise.out_dtype) for name in ("low", "high")}
     table["checksum"] = np.zeros(count, dtype=np.uint32)
+    rows, columns = normalise.window
+    size = (rows.stop - rows.start) * (columns.stop - columns.start) * images.shape[2] * images.dtype.itemsize
+    chunk = max(1, min(_CHUNK, _CHUNK_BYTES // size))
+    one_at_a_time = threading.Lock()
+
+    def taken(samples: range) -> Iterable[np.ndarray]:
+        if images.parallel:
+            return images.read(samples, rows, columns)
+        with one_at_a_time:
+            return list(images.read(samples, rows, columns))
 
     def work(first: int) -> None:
-        for row, name in enumerate(files[first : first + _CHUNK], first):
-            codes, marks = normalise(read_pixels(source, name), f"{source.path}: {name}")
+        samples = range(first, min(first + chunk, count))
+        for row, image in zip(samples, taken(samples), strict=True):
+            codes, marks = normalise(image, names[row])
             pixels[row] = codes
             if marks.any():  # untouched rows of the flag file stay holes that take no space
                 flags[row] = marks
@@ -149,7 +178,7 @@ def decode_files(
             table["low"][row], table["high"][row] = codes.min(), codes.max()
             table["checksum"][row] = checksum(codes, marks)
 
-    _in_threads(work, range(0, count, _CHUNK), show)
+    _in_threads(work, range(0, count, chunk), show)
     return table
 
 

@@ -1,86 +1,77 @@
-"""Which file shows which light and view: one small parser per way of saying so.
-
-A parser takes a source (folder or zip) and returns a Listing. `find_kind` looks at names only, so that asking is cheap.
-"""
+"""The kinds of data that come with the package, registered; which of them a path is; and its samples, checked."""
 
 from __future__ import annotations
 
-import re
-from collections.abc import Callable
-from pathlib import PurePosixPath
+import os
+import zipfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path, PurePosixPath
 
+import numpy as np
 import torch
 from torch import Tensor
 
-from torchmat.btf.listing import Listing, from_degrees, is_image
-from torchmat.btf.lp import read_lp
-from torchmat.btf.manifest import read_manifest
-from torchmat.btf.source import Folder, Zip
+from torchmat.btf.listing import Listing, is_image
+from torchmat.btf.lp import RTI
+from torchmat.btf.manifest import MANIFEST
+from torchmat.btf.names import UBO2003, UTIA
+from torchmat.btf.reader import DTYPES, READERS, Pixels, Reader, register_reader
+from torchmat.btf.source import File, Folder, Zip
 from torchmat.errors import DataError, check_option, message
 
 _UNIT_TOLERANCE = 1e-3
-_ANGLES = re.compile(r"tl([0-9]{3})([ _])pl([0-9]{3})[ _]tv([0-9]{3})[ _]pv([0-9]{3})(?![0-9])", re.IGNORECASE)
+
+for _reader in (MANIFEST, RTI, UBO2003, UTIA):
+    register_reader(_reader)
 
 
-def _read_names(source: Folder | Zip, kind: str) -> Listing:
-    files = [name for name in source.names if is_image(name)]
-    if not files:
-        fact = f"none of {len(source.names)} files is one"
-        step = "Give the folder or the zip that holds the images."
-        raise DataError(message(str(source.path), "the data", "hold images", fact, step))
-    matches = [_ANGLES.search(PurePosixPath(name).name) for name in files]
-    missing = [name for name, match in zip(files, matches, strict=True) if match is None]
-    if missing:
-        fact = f"{len(missing)} of {len(files)} image files do not, first {missing[0]!r}"
-        step = "Rename those files or move them out."
-        raise DataError(
-            message(str(source.path), "each image name", "hold tlTTT plPPP tvTTT pvPPP (degrees)", fact, step)
-        )
-    angles = [[float(match[k]) for k in (1, 3, 4, 5)] for match in matches if match]
-    for name, (light_polar, light_azimuth, view_polar, view_azimuth) in zip(files, angles, strict=True):
-        where = f"{source.path}: {name}"
-        if light_polar > 90 or view_polar >= 90:
-            fact = f"light is at {light_polar:g}, view at {view_polar:g}"
-            step = "tl and tv are polar angles from the normal; the view must lie above the surface."
-            raise DataError(message(where, "polar angles", "be 0 to 90 degrees", fact, step))
-        if max(light_azimuth, view_azimuth) > 360:
-            fact = f"light is at {light_azimuth:g}, view at {view_azimuth:g}"
-            step = "pl and pv are azimuths from the right of the image; correct the name."
-            raise DataError(message(where, "azimuths", "be 0 to 360 degrees", fact, step))
-    light_polar, light_azimuth, view_polar, view_azimuth = map(list, zip(*angles, strict=True))
-    light, view = from_degrees(light_polar, light_azimuth), from_degrees(view_polar, view_azimuth)
-    return Listing(kind, tuple(files), light, view)
+def open_source(path: str | Path, kind: str | None = None) -> File | Folder | Zip:
+    """Open a folder, a zip, or a file that a reader takes for everything; raises DataError, naming the path, for others.
+
+    `kind` names a reader; None asks all those of single files.
+    """
+    path = Path(path)
+    one_file = kind is not None and READERS[kind].one_file
+    if os.path.isdir(path):  # pathlib raises where a name is too long
+        if one_file:
+            fact, step = "it is a folder", "Give the file itself, or leave `kind` out."
+            raise DataError(message(str(path), "the path", f"be a file for kind {kind!r}", fact, step))
+        return Folder(path)
+    if not os.path.exists(path):
+        raise DataError(message(str(path), "the path", "exist", "there is nothing", "Check the spelling."))
+    if not os.path.isfile(path):
+        step = "Give the folder or the zip itself."
+        raise DataError(message(str(path), "the path", "be a folder or a zip", "it is a device or a pipe", step))
+    asked = [reader for reader in READERS.values() if reader.one_file and kind in (None, reader.name)]
+    if asked:
+        file = File(path)
+        if one_file or any(_takes(reader, file) for reader in asked):
+            return file
+    if path.suffix.lower() == ".zip" or zipfile.is_zipfile(path):
+        return Zip(path)
+    if path.suffix.lower() in (".csv", ".lp"):
+        step = f"Give its folder instead: {path.parent}."
+        raise DataError(message(str(path), "the path", "be a folder or a zip", "it is a file", step))
+    wanted, step = "be a folder or a zip", "Give the folder or the zip that holds the images and their directions."
+    if asked:
+        wanted += f", or a file of kind {', '.join(reader.name for reader in asked)}"
+    raise DataError(message(str(path), "the path", wanted, "it is neither", step))
 
 
-def read_ubo2003(source: Folder | Zip) -> Listing:
-    """Parse names of the Bonn 2003 database: ``00081 tl015 pl000 tv000 pv000.jpg``."""
-    return _read_names(source, "ubo2003")
+def _takes(reader: Reader, source: File | Folder | Zip) -> bool:
+    with reader.at_work(source):
+        return bool(reader.sniff(source))
 
 
-def read_utia(source: Folder | Zip) -> Listing:
-    """Parse names of the UTIA and ATRIUM databases: ``tl015_pl000_tv000_pv000.png``."""
-    return _read_names(source, "utia")
-
-
-READERS: dict[str, Callable[[Folder | Zip], Listing]] = {
-    "manifest": read_manifest,
-    "rti": read_lp,
-    "ubo2003": read_ubo2003,
-    "utia": read_utia,
-}
-
-
-def find_kind(source: Folder | Zip) -> str:
-    """Return which reader fits the names in `source`; raises DataError when none does."""
+def find_reader(source: File | Folder | Zip) -> Reader:
+    """Return the first reader that fits `source`; raises DataError when none does."""
+    one_file = isinstance(source, File)
+    for reader in READERS.values():
+        if reader.one_file == one_file and _takes(reader, source):
+            return reader
     names = [PurePosixPath(name).name.lower() for name in source.names]
-    if "manifest.csv" in names:
-        return "manifest"
-    if any(name.endswith(".lp") for name in names):
-        return "rti"
-    for name in source.names:
-        match = _ANGLES.search(PurePosixPath(name).name)
-        if match and is_image(name):
-            return "ubo2003" if match[2] == " " else "utia"
     images = sum(map(is_image, source.names))
     fact = f"there are {len(names)} files, {images} of them images"
     columns = "file, light_polar_deg, light_azimuth_deg, view_polar_deg, view_azimuth_deg"
@@ -88,20 +79,90 @@ def find_kind(source: Folder | Zip) -> str:
     raise DataError(message(str(source.path), "the data", "tell its directions", fact, step))
 
 
-def read_listing(source: Folder | Zip, kind: str | None, duplicates: str, normalise: bool) -> Listing:
+def reading_key(source: File | Folder | Zip, kind: str | None) -> tuple[object, ...]:
+    """Return what a cached store must agree in: the kind that is asked for, and versions of readers that may come up."""
+    if kind is None and isinstance(source, File):
+        kind = find_reader(source).name
+    asked = [READERS[kind]] if kind else [reader for reader in READERS.values() if not reader.one_file]
+    return (kind, *((reader.name, reader.version) for reader in asked if reader.version))
+
+
+def read_listing(source: File | Folder | Zip, kind: str | None, duplicates: str, normalise: bool) -> Listing:
     """Parse `source` as `kind` (None: found from its content) and check the directions."""
     if kind is not None:
         check_option("load_btf", "kind", kind, READERS)
-    listing = READERS[kind or find_kind(source)](source)
+    reader = READERS[kind] if kind else find_reader(source)
+    with reader.at_work(source):
+        listing = reader.listing(source)
+    listing = _well_formed(source, reader, listing)
     light, view = (_unit(source, listing, which, normalise) for which in ("light", "view"))
-    listing = Listing(listing.kind, listing.files, light, view)
+    listing = replace(listing, light=light, view=view)
     _refuse_below(source, listing)
     if duplicates == "error":
         _refuse_duplicates(source, listing)
     return listing
 
 
-def _unit(source: Folder | Zip, listing: Listing, which: str, normalise: bool) -> Tensor:
+def _well_formed(source: File | Folder | Zip, reader: Reader, listing: Listing) -> Listing:
+    """Return what a reader listed, under its own name and in float64; raise DataError when it does not fit together."""
+    where = f"{source.path}: the reader {reader.name!r}"
+    if not isinstance(listing, Listing):
+        raise DataError(message(where, "its listing", "be a Listing", f"it is {type(listing).__name__}"))
+    count = len(listing.files)
+    light, view = (torch.as_tensor(directions, dtype=torch.float64) for directions in (listing.light, listing.view))
+    if not count or light.shape != (count, 3) or view.shape != (count, 3):
+        fact = f"it has {count} names, light {tuple(light.shape)} and view {tuple(view.shape)}"
+        raise DataError(message(where, "its listing", "hold a name, a light and a view [n, 3] for each sample", fact))
+    return Listing(reader.name, tuple(listing.files), light, view)
+
+
+@contextmanager
+def open_pixels(source: File | Folder | Zip, listing: Listing) -> Iterator[Pixels]:
+    """Open the images of what was listed; raises DataError where its reader does not say what images are like."""
+    reader = READERS[listing.kind]
+    with reader.at_work(source):
+        opened = reader.pixels(source, listing)
+    where = f"{source.path}: the reader {reader.name!r}"
+    if not isinstance(opened, Pixels):
+        raise DataError(message(where, "its pixels", "be Pixels", f"they are {type(opened).__name__}"))
+    try:
+        dtype = np.dtype(opened.dtype)
+        if len(opened.shape) != 3 or 0 in opened.shape or dtype.name not in DTYPES or not dtype.isnative:
+            fact = f"they are {tuple(opened.shape)} of {dtype}"
+            requirement = f"be images (height, width, channels) of {', '.join(DTYPES)}"
+            raise DataError(message(where, "its pixels", requirement, fact))
+        yield replace(opened, read=_checked(where, reader, source, opened))
+    finally:
+        opened.close()
+
+
+def _checked(where: str, reader: Reader, source: File | Folder | Zip, opened: Pixels):
+    """Return `read` of opened pixels, which gives what it promised or raises DataError."""
+
+    def read(samples: range, rows: slice, columns: slice) -> Iterator[np.ndarray]:
+        wanted = (rows.stop - rows.start, columns.stop - columns.start, opened.shape[2])
+        count = 0
+        with reader.at_work(source):
+            images = iter(opened.read(samples, rows, columns))
+        while True:
+            with reader.at_work(source):
+                image = next(images, None)
+            if image is None:
+                break
+            count += 1
+            if count > len(samples) or getattr(image, "shape", None) != wanted or image.dtype != opened.dtype:
+                fact = f"image {count} is {getattr(image, 'shape', None)} of {getattr(image, 'dtype', None)}"
+                requirement = f"be {len(samples)} images {wanted} of {opened.dtype}"
+                raise DataError(message(where, "what it reads", requirement, fact))
+            yield image
+        if count != len(samples):
+            fact = f"{count} came"
+            raise DataError(message(where, "what it reads", f"be {len(samples)} images {wanted}", fact))
+
+    return read
+
+
+def _unit(source: File | Folder | Zip, listing: Listing, which: str, normalise: bool) -> Tensor:
     directions: Tensor = getattr(listing, which)
     length = directions.norm(dim=1, keepdim=True)
     none = (length == 0) | ~torch.isfinite(length)
@@ -117,7 +178,7 @@ def _unit(source: Folder | Zip, listing: Listing, which: str, normalise: bool) -
     return directions / length
 
 
-def _refuse_below(source: Folder | Zip, listing: Listing) -> None:
+def _refuse_below(source: File | Folder | Zip, listing: Listing) -> None:
     for which in ("light", "view"):
         directions: Tensor = getattr(listing, which)
         # A light exactly on the horizon is legal (its images are black); rounding may put cos(90 deg) at 6e-17.
@@ -131,7 +192,7 @@ def _refuse_below(source: Folder | Zip, listing: Listing) -> None:
             raise DataError(message(where, f"the {which} direction", "lie above the surface", fact, step))
 
 
-def _refuse_duplicates(source: Folder | Zip, listing: Listing) -> None:
+def _refuse_duplicates(source: File | Folder | Zip, listing: Listing) -> None:
     seen: dict[tuple[float, ...], str] = {}
     keys = torch.round(torch.cat((listing.light, listing.view), dim=1), decimals=5) + 0.0
     for file, key in zip(listing.files, map(tuple, keys.tolist()), strict=True):

@@ -1,4 +1,4 @@
-"""A folder or a zip as one thing: names of files, their content, and a fingerprint that changes with them."""
+"""A folder, a zip or a file as one thing: names of files, their content, and a fingerprint that changes with them."""
 
 from __future__ import annotations
 
@@ -96,6 +96,32 @@ class Folder:
         """Release what the source holds: nothing, for a folder."""
 
 
+class File:
+    """One file that holds everything: directions and images."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.names = [path.name]
+        self.fingerprint = _mark(path)
+
+    def start(self, count: int) -> bytes:
+        """Return the first `count` bytes, fewer of a shorter file: by them a kind of file is told."""
+        try:
+            with open(self.path, "rb") as stream:
+                return stream.read(count)
+        except OSError as error:
+            step = "Check that it may be read."
+            raise DataError(message(str(self.path), "the file", "be readable", str(error), step)) from error
+
+    def close(self) -> None:
+        """Release what the source holds: nothing."""
+
+
+def _mark(path: Path) -> str:
+    found = path.stat()
+    return hashlib.sha256(f"{found.st_size}\0{found.st_mtime_ns}".encode()).hexdigest()
+
+
 class Zip:
     """The files of a zip archive. Nothing is ever unpacked under a name that the archive chose."""
 
@@ -104,8 +130,7 @@ class Zip:
         self._lock = threading.Lock()
         self._archive: zipfile.ZipFile | None = None
         self._scratch: Path | None = None
-        found = path.stat()
-        self.fingerprint = hashlib.sha256(f"{found.st_size}\0{found.st_mtime_ns}".encode()).hexdigest()
+        self.fingerprint = _mark(path)
 
     @cached_property
     def _members(self) -> dict[str, zipfile.ZipInfo]:
@@ -200,22 +225,3 @@ class Zip:
 
 def _reason(error: Exception) -> str:
     return (str(error) or type(error).__name__).rstrip(".")
-
-
-def open_source(path: str | Path) -> Folder | Zip:
-    """Open a folder or a zip; raises DataError, which names the path, for anything else."""
-    path = Path(path)
-    if os.path.isdir(path):  # pathlib raises where a name is too long
-        return Folder(path)
-    if not os.path.exists(path):
-        raise DataError(message(str(path), "the path", "exist", "there is nothing", "Check the spelling."))
-    if not os.path.isfile(path):
-        step = "Give the folder or the zip itself."
-        raise DataError(message(str(path), "the path", "be a folder or a zip", "it is a device or a pipe", step))
-    if path.suffix.lower() == ".zip" or zipfile.is_zipfile(path):
-        return Zip(path)
-    if path.suffix.lower() in (".csv", ".lp"):
-        step = f"Give its folder instead: {path.parent}."
-        raise DataError(message(str(path), "the path", "be a folder or a zip", "it is a file", step))
-    step = "Give the folder or the zip that holds the images and their directions."
-    raise DataError(message(str(path), "the path", "be a folder or a zip", "it is neither", step))

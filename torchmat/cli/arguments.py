@@ -19,7 +19,7 @@ class DataArguments:
     no_cache: bool = False
     """Decode anew and leave nothing behind."""
     kind: str | None = None
-    """manifest, rti, ubo2003 or utia; found from the content when left out."""
+    """manifest, rti, ubo2003, utia, or another reader's name; found from the content when left out."""
     encoding: str | None = None
     """auto, srgb or linear."""
     exposure: float | None = None

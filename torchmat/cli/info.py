@@ -13,7 +13,7 @@ from torchmat.cli.arguments import SAMPLE, DataArguments
 
 @dataclass
 class Info:
-    """Describe any input: a folder or zip of images, a material folder, a shading map, or a measured BRDF."""
+    """Describe any input: a folder, zip or file of images, a material folder, a shading map, or a measured BRDF."""
 
     path: Annotated[str, tyro.conf.Positional] = SAMPLE
     """What to describe."""

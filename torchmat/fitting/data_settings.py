@@ -8,7 +8,7 @@ from typing import Any
 
 from torchmat.btf.decode import ENCODINGS
 from torchmat.btf.load import DUPLICATE_WAYS, INVALID_WAYS
-from torchmat.btf.readers import READERS
+from torchmat.btf.reader import READERS
 from torchmat.errors import RangeError, check_known_keys, check_option, message
 
 
@@ -35,7 +35,7 @@ _RULES: dict[str, tuple[str, Callable[[Any], bool]]] = {
     "clipped_weight": ("be a number from 0 to 1", lambda value: _is_number(value) and 0 <= value <= 1),
 }
 _CHOICES = {
-    "kind": tuple(READERS), "encoding": ENCODINGS, "invalid": INVALID_WAYS, "duplicates": DUPLICATE_WAYS,
+    "kind": READERS, "encoding": ENCODINGS, "invalid": INVALID_WAYS, "duplicates": DUPLICATE_WAYS,
 }
 DATA_KEYS = (*_CHOICES, *_RULES)
 
