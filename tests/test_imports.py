@@ -25,10 +25,11 @@ ROOMS_THAT_DO_NOT_MEET = {room: _SIDE_BY_SIDE - {room} for room in _SIDE_BY_SIDE
 ROOMS_THAT_DO_NOT_MEET["models"] = {"btf"}
 
 PUBLIC = {
-    "Brdf", "Btf", "Camera", "DataError", "Directional", "FitConfig", "FitError", "FitResult", "Material", "Point",
-    "RangeError", "RawBtf", "Reader", "Recipe", "Scene", "ShapeError", "TorchmatError", "compare", "environment_lights",
-    "evaluate", "fit", "load_brdf", "load_btf", "load_config", "load_material", "pack", "recover_geometry", "refit",
-    "register", "register_reader", "render", "sample_path", "sample_truth", "save_material", "split_samples",
+    "Brdf", "Btf", "Camera", "DataError", "Directional", "Exporter", "FitConfig", "FitError", "FitResult", "Losses",
+    "Material", "Point", "RangeError", "RawBtf", "Reader", "Recipe", "Scene", "ShapeError", "TorchmatError", "compare",
+    "environment_lights", "evaluate", "export", "fit", "load_brdf", "load_btf", "load_config", "load_material", "pack",
+    "recover_geometry", "refit", "register", "register_exporter", "register_reader", "render", "sample_path",
+    "sample_truth", "save_material", "split_samples",
 }
 
 

@@ -8,7 +8,7 @@ from torchmat.fitting import (
     FitConfig, FitResult, Recipe, evaluate, fit, load_config, recover_geometry, refit, register,
 )
 from torchmat.machine import package_version
-from torchmat.material_io import load_material, pack, save_material
+from torchmat.material_io import Exporter, Losses, export, load_material, pack, register_exporter, save_material
 from torchmat.models import Material
 from torchmat.rendering import Camera, Directional, Point, Scene, environment_lights, render
 from torchmat.report import compare
@@ -17,8 +17,9 @@ from torchmat.sample import sample_path, sample_truth
 __version__ = package_version()
 
 __all__ = [
-    "Brdf", "Btf", "Camera", "DataError", "Directional", "FitConfig", "FitError", "FitResult", "Material", "Point",
-    "RangeError", "RawBtf", "Reader", "Recipe", "Scene", "ShapeError", "TorchmatError", "compare", "environment_lights",
-    "evaluate", "fit", "load_brdf", "load_btf", "load_config", "load_material", "pack", "recover_geometry", "refit",
-    "register", "register_reader", "render", "sample_path", "sample_truth", "save_material", "split_samples",
+    "Brdf", "Btf", "Camera", "DataError", "Directional", "Exporter", "FitConfig", "FitError", "FitResult", "Losses",
+    "Material", "Point", "RangeError", "RawBtf", "Reader", "Recipe", "Scene", "ShapeError", "TorchmatError", "compare",
+    "environment_lights", "evaluate", "export", "fit", "load_brdf", "load_btf", "load_config", "load_material", "pack",
+    "recover_geometry", "refit", "register", "register_exporter", "register_reader", "render", "sample_path",
+    "sample_truth", "save_material", "split_samples",
 ]

@@ -24,11 +24,12 @@ from torchmat import atomic
 from torchmat.errors import DataError, TorchmatError, check_finite, check_option, message
 from torchmat.images import read_image, write_image
 from torchmat.machine import package_version
-from torchmat.material_io.volume import is_volume, read_volume, write_volume
+from torchmat.material_io.exporter import LOSS, Exporter, Losses, exporter_of_file
+from torchmat.material_io.volume import is_volume, read_volume
 from torchmat.models import MATERIALS, Material
 from torchmat.models.cutout import Cutout
 from torchmat.models.resample import restored
-from torchmat.models.storage import STORAGES, Codes, MapSpec, StoredAs, check_map, decode, encode
+from torchmat.models.storage import STORAGES, Codes, MapSpec, StoredAs, check_map, decode
 from torchmat.text_file import read_json
 
 FORMAT = "torchmat-material"
@@ -70,11 +71,11 @@ def write_material(material: Material, folder: Path, provenance: dict[str, Any] 
     `save_material` is what takes care.
     """
     textures = []
-    for spec, name, value, storage in material.textures():
-        codes = encode(spec, value, storage)
-        suffix = ".png" if spec.index else STORAGES[storage].suffix
-        write_image(folder / f"{name}{suffix}", codes.pixels)
-        textures.append(_texture_entry(spec, f"{name}{suffix}", codes))
+    for texture in material.textures():
+        codes = texture.codes()
+        suffix = ".png" if texture.spec.index else STORAGES[texture.storage].suffix
+        write_image(folder / f"{texture.name}{suffix}", codes.pixels)
+        textures.append(_texture_entry(texture.spec, f"{texture.name}{suffix}", codes))
     for spec, value in material.numbers():
         check_map("export", spec, value)
     constants = {spec.name: value.tolist() for spec, value in material.numbers()}
@@ -101,23 +102,28 @@ def _known_files(target: Path) -> set[str]:
         manifest = read_json(target / MANIFEST, "the manifest", "be a torchmat material")
         if manifest["format"] != FORMAT:
             return set()
-        return {MANIFEST, *(entry["file"] for entry in manifest["textures"]), *manifest.get("companions", ())}
+        return {MANIFEST, LOSS, *(entry["file"] for entry in manifest["textures"]), *manifest.get("companions", ())}
     except (DataError, KeyError, TypeError, AttributeError):
         return set()
+
+
+def known_files(target: Path) -> Callable[[str], bool]:
+    """Return which files in a folder are those of a material there, and may be replaced with it."""
+    files = _known_files(target)
+    return lambda name: name in files or (bool(files) and fnmatch(name, RENDERS))
 
 
 def check_target(target: str | Path) -> None:
     """Raise DataError unless `target` may be replaced: absent, empty, or a material folder and nothing else.
 
-    A name that ends in .3pm is refused: such a file holds no report and no BRDF.
+    A name that ends as an exporter's files do (.3pm) is refused: such a file holds no report.
     """
-    if is_volume(target):
-        step = "Choose a folder; save_material(load_material(folder), 'name.3pm') then writes the slices."
-        raise DataError(message(str(target), "the target", "be a folder", "its name ends in .3pm", step))
-    files = _known_files(Path(target))
-    atomic.refuse_foreign(
-        Path(target), lambda name: name in files or (bool(files) and fnmatch(name, RENDERS)), "a material folder"
-    )
+    exporter = exporter_of_file(target)
+    if exporter is not None:
+        step = f"Choose a folder; save_material(load_material(folder), 'name{exporter.suffix}') then writes the file."
+        fact = f"its name ends in {exporter.suffix}"
+        raise DataError(message(str(target), "the target", "be a folder", fact, step))
+    atomic.refuse_foreign(Path(target), known_files(Path(target)), "a material folder")
 
 
 def save_material(
@@ -126,17 +132,20 @@ def save_material(
 ) -> Path:
     """Write `material` as a folder that appears whole or not at all; return its path.
 
-    A path that ends in ``.3pm`` gets the slices of a shading map, and nothing else (`write_volume`). A material that
-    stands there is replaced in one step; a folder that holds anything else is refused, so that no file of the user's is
-    lost. `companions` may write more (report, pictures) into the folder before it appears.
+    A path that ends in the suffix of an exporter, such as ``.3pm``, gets that file and nothing else; `export` says
+    beside it what the file cannot hold. A material that stands there is replaced in one step; a folder that holds
+    anything else is refused, so that no file of the user's is lost. `companions` may write more (report, pictures) into
+    the folder before it appears.
     Raises DataError when the folder cannot be written, RangeError when a map cannot be stored.
     """
     target = Path(folder)
-    if is_volume(target):
+    exporter = exporter_of_file(target)
+    if exporter is not None:
         if companions is not None:
             step = "Save it as a folder."
             raise DataError(message(str(target), "the target", "be a folder to hold a report", "it is a file", step))
-        return write_volume(material, target)
+        exporter.write_whole(material, target, {}, provenance)
+        return target
     check_target(target)
     with atomic.building(target) as building:
         manifest = write_material(material, building, provenance)
@@ -146,6 +155,21 @@ def save_material(
             manifest["companions"] = sorted(_files(building) - before)
             _write_manifest(building, manifest)
     return target
+
+
+def _export_folder(
+    material: Material, path: Path, *, storage: str | None = None, provenance: dict[str, Any] | None = None
+) -> Losses:
+    """Write a material folder, with all textures stored as `storage` (a key of STORAGES) where it is given."""
+    chosen = material if storage is None else material.stored_as(storage)
+    write_material(chosen, path, provenance)
+    return Losses.of_maps(material, chosen.as_exported().maps)
+
+
+FOLDER = Exporter(
+    "folder", "torchmat's own: a manifest and one texture a map, to edit and to load again", _export_folder,
+    known=known_files,
+)
 
 
 def read_manifest(folder: str | Path) -> dict[str, Any]:

@@ -24,6 +24,7 @@ from torchmat.errors import DataError, RangeError, TorchmatError, check_finite, 
 from torchmat.geometry import normals_from_slopes, slopes_from_height, slopes_from_normals
 from torchmat.images import read_image, write_image
 from torchmat.machine import package_version
+from torchmat.material_io.exporter import LOSS, Exporter, Losses
 from torchmat.models import Distribution, Material
 from torchmat.models.cutout import Cutout
 from torchmat.models.relief_maps import HEIGHT
@@ -34,7 +35,7 @@ FORMAT, VERSION, DESCRIPTION = "torchmat-packed", 1, "packed.json"
 DEPTHS = (8, 16)
 _FILES = (
     DESCRIPTION, "normal_height.png", "normal.png", "rotation_mask_fresnel.png", "specular_mask.png", "diffuse.png",
-    "ambient.png", "index_*.png", "specular_maps.exr", "tilt.png",
+    "ambient.png", "index_*.png", "specular_maps.exr", "tilt.png", LOSS,
 )
 _Picture = Callable[..., Any]  # makes a texture of (map, values, names of its channels)
 _RGB = ("r", "g", "b")
@@ -65,24 +66,42 @@ def pack(material: Material, folder: str | Path, depth: int = 8, provenance: dic
     the folder is replaced if it was packed before, else refused. Raises RangeError for a model other than the
     distribution material and for maps that cannot be stored, DataError when the folder cannot be written.
     """
-    textures = _textures(material, depth)
     target = Path(folder)
-    atomic.refuse_foreign(target, lambda name: any(fnmatch(name, known) for known in _FILES), "a packed material")
+    atomic.refuse_foreign(target, _known_files(target), "a packed material")
+    PACKED.write_whole(material, target, {"depth": depth}, provenance)
+    return target
+
+
+def _known_files(target: Path) -> Callable[[str], bool]:
+    return lambda name: any(fnmatch(name, known) for known in _FILES)
+
+
+def write_packed(material: Material, path: Path, *, depth: int = 8, provenance: dict[str, Any] | None = None) -> Losses:
+    """Write packed textures and their description into an existing folder; return what unpacking does not bring back."""
+    textures = _textures(material, depth)
     described = {
         "format": FORMAT, "version": VERSION, "written_by": f"torchmat {package_version()}", "depth": depth,
         **_settings(material), "height": material.size[0], "width": material.size[1], "conventions": CONVENTIONS,
         "textures": [_entry(texture) for texture in textures], "provenance": provenance or {},
     }
-    with atomic.building(target) as building:
-        for texture in textures:
-            write_image(building / texture.file, texture.codes.pixels)
-        (building / DESCRIPTION).write_text(json.dumps(described, indent=1, ensure_ascii=False), encoding="utf-8")
-    return target
+    for texture in textures:
+        write_image(path / texture.file, texture.codes.pixels)
+    (path / DESCRIPTION).write_text(json.dumps(described, indent=1, ensure_ascii=False), encoding="utf-8")
+    return Losses.of_maps(material, _unpacked(textures, material).maps)
+
+
+PACKED = Exporter(
+    "packed", "the distribution material in few textures for a shader, 8 or 16 bits (depth)", write_packed,
+    known=_known_files,
+)
 
 
 def packed(material: Material, depth: int = 8) -> Distribution:
     """Return the material as its packed textures would bring it back, without files: what its error is measured on."""
-    textures = _textures(material, depth)
+    return _unpacked(_textures(material, depth), material)
+
+
+def _unpacked(textures: list[Packed], material: Distribution) -> Distribution:
     planes = _by_map((decode(texture.codes), texture.contents) for texture in textures)
     return _assembled(planes, _settings(material))
 

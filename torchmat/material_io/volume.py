@@ -15,8 +15,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchmat import atomic
 from torchmat.errors import DataError, RangeError, TorchmatError, check_finite, message
+from torchmat.material_io.exporter import Exporter, Losses
 from torchmat.models import Material, ShadingMap
 
 SUFFIX = ".3pm"
@@ -61,14 +61,14 @@ def read_volume(path: str | Path) -> ShadingMap:
     _check_codes(path, head, codes)
     planes = codes.reshape(head.slices, head.height, head.width, 3).transpose(0, 3, 1, 2)
     slices = torch.from_numpy(np.ascontiguousarray(planes, np.float32)) / head.levels
-    brightest = slices[-1].double().mean().float().reshape(1)
     try:
-        return _with_lambert(slices.flatten(0, 1), brightest, head.slices)
+        return _with_lambert(slices.flatten(0, 1), head.slices)
     except TorchmatError as error:
         raise DataError(f"{path}: {error}") from error
 
 
-def _with_lambert(slices: Tensor, brightest: Tensor, count: int) -> ShadingMap:
+def _with_lambert(slices: Tensor, count: int) -> ShadingMap:
+    brightest = slices[-3:].double().mean().float().reshape(1)
     maps = {"slices": slices, "lobe": brightest.repeat(3), "brightest": brightest}
     return ShadingMap(maps, slices=count, brdf="lambert")
 
@@ -126,23 +126,36 @@ def _check_codes(path: Path, head: _Head, codes: np.ndarray) -> None:
         raise DataError(message(str(path), "codes", requirement, fact, "Correct the head."))
 
 
-def write_volume(material: Material, path: str | Path) -> Path:
-    """Write the slices of a shading map as a ``.3pm`` file that appears whole or not at all; return its path.
+def write_volume(material: Material, path: Path) -> Losses:
+    """Write the slices of a shading map as the ``.3pm`` file `path`, whatever is there; return what it does not hold.
 
     8-bit linear codes, 255 standing for 1: a file that was read, and whose head says 255, is written back byte
     for byte. The BRDF, `brightest` and other options have no place in the file. Raises RangeError for another model,
-    for more than one azimuth, for a relief, and for slices that leave [0, 1]; DataError when it cannot be written.
+    for more than one azimuth, for a relief, and for slices that leave [0, 1]. `save_material` and `export` take care
+    that the file appears whole.
     """
-    path = Path(path)
     _check_writable(material, path)
     slices = material.maps["slices"].detach()
     count, (height, width) = material.options["slices"], material.size
     codes = (slices.double() * _LEVELS).round().to(torch.uint8)
     pixels = codes.unflatten(0, (count, 3)).permute(0, 2, 3, 1).contiguous().numpy()
     head = f"VL\n#components 3\n{width} {height} {count}\n{_LEVELS}\n".encode("ascii")
-    with atomic.building_file(path) as built:
-        built.write_bytes(head + pixels.tobytes())
-    return path
+    path.write_bytes(head + pixels.tobytes())
+    return _losses(material, _with_lambert(codes.float() / _LEVELS, count))
+
+
+def _losses(material: ShadingMap, read: ShadingMap) -> Losses:
+    """Return what differs in the shading map that `read_volume` makes of the file."""
+    lost = {
+        name: f"it is {value!r}, and the file is read as {read.options[name]!r}"
+        for name, value in material.options.items() if value != read.options[name]
+    }
+    if material.tiles != read.tiles or material.cutout is not None:
+        lost["tiling"] = "the file is read as a texture that repeats"
+    for name in ("lobe", "brightest"):
+        if not torch.equal(material.maps[name].detach().float(), read.maps[name].detach()):
+            lost[name] = "the file is read with Lambert's BRDF, as bright as the last slice"
+    return Losses.of_maps(material, read.maps, lost)
 
 
 def _check_writable(material: Material, path: Path) -> None:
@@ -168,3 +181,6 @@ def _check_writable(material: Material, path: Path) -> None:
         )
         fact = f"they run from {low:.6g} to {high:.6g}"
         raise RangeError(message(where, "slices", "lie in [0, 1] for 8-bit codes", fact, step))
+
+
+VOLUME = Exporter("3pm", "the shading map's own file: slices in 8 bits, without the BRDF", write_volume, SUFFIX)

@@ -10,7 +10,7 @@ from torch import Tensor, nn
 
 from torchmat.models.cutout import Cutout
 from torchmat.models.resample import ANY_SIZE, resample, restored, shrunk
-from torchmat.models.storage import STORAGES, MapSpec, StoredAs, decode, encode
+from torchmat.models.storage import STORAGES, MapSpec, StoredAs, StoredTexture, decode
 
 
 class Storable(nn.Module):
@@ -76,14 +76,18 @@ class Storable(nn.Module):
         value = self.maps[spec.name].detach()
         return shrunk(spec, value, self._stored(spec).size or value.shape[-2:], self.tiles)
 
-    def textures(self) -> list[tuple[MapSpec, str, Tensor, str]]:
-        """Return (map, texture name, values [C, h, w], storage) of every texture that export writes, in its size."""
+    def textures(self) -> list[StoredTexture]:
+        """Return every texture that export writes: (map, texture name, values [C, h, w], storage), in its size.
+
+        With `numbers` this is all that a material holds. Each says what it means, in which range, and whether it is
+        colour or data.
+        """
         found = []
         for spec in self.specs():
             if not self._is_numbers(spec):
                 parts = self._small(spec).split(spec.layer_channels)
                 storage = self._storage_of(spec)
-                found += [(spec, name, part, storage) for name, part in zip(spec.textures, parts, strict=True)]
+                found += [StoredTexture(spec, name, part, storage) for name, part in zip(spec.textures, parts, strict=True)]
         return found
 
     def numbers(self) -> list[tuple[MapSpec, Tensor]]:
@@ -98,8 +102,8 @@ class Storable(nn.Module):
         Raises RangeError when a map cannot be stored without leaving its range.
         """
         parts: dict[str, tuple[MapSpec, list[Tensor]]] = {}
-        for spec, _, value, storage in self.textures():
-            parts.setdefault(spec.name, (spec, []))[1].append(decode(encode(spec, value, storage)))
+        for texture in self.textures():
+            parts.setdefault(texture.spec.name, (texture.spec, []))[1].append(decode(texture.codes()))
         maps = {
             spec.name: value if spec.constant else value[:, None, None].expand(-1, *self.size).contiguous()
             for spec, value in self.numbers()

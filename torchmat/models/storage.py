@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -132,6 +133,38 @@ class Codes:
     low: tuple[float, ...] = ()
     high: tuple[float, ...] = ()
     transfer: str = "linear"
+
+
+class StoredTexture(NamedTuple):
+    """One texture of a material: `values` [C, h, w] of the map that `spec` declares, called `name`, to be stored as
+    `storage` (a key of STORAGES)."""
+
+    spec: MapSpec
+    name: str
+    values: Tensor
+    storage: str
+
+    @property
+    def meaning(self) -> str:
+        """What the map is, in words."""
+        return self.spec.meaning
+
+    @property
+    def range(self) -> tuple[float | None, float | None]:
+        """The least and the largest value that the map may have; None is no bound."""
+        return self.spec.low, self.spec.high
+
+    @property
+    def colour_space(self) -> str:
+        """"linear" RGB of Rec. 709 primaries, or "data": numbers that no colour management may touch."""
+        return "linear" if self.spec.colour else "data"
+
+    def codes(self, storage: str | None = None) -> Codes:
+        """Return the texture as codes with their range and transfer, in its own storage or another.
+
+        Raises RangeError when it cannot be stored so.
+        """
+        return encode(self.spec, self.values, storage or self.storage)
 
 
 def check_map(where: str, spec: MapSpec, value: Tensor) -> None:

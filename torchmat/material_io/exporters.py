@@ -1,0 +1,11 @@
+"""The exporters that come with the package, registered."""
+
+from __future__ import annotations
+
+from torchmat.material_io.exporter import register_exporter
+from torchmat.material_io.folder import FOLDER
+from torchmat.material_io.packing import PACKED
+from torchmat.material_io.volume import VOLUME
+
+for _exporter in (FOLDER, VOLUME, PACKED):
+    register_exporter(_exporter)
