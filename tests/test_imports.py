@@ -25,8 +25,9 @@ ROOMS_THAT_DO_NOT_MEET = {room: _SIDE_BY_SIDE - {room} for room in _SIDE_BY_SIDE
 ROOMS_THAT_DO_NOT_MEET["models"] = {"btf"}
 
 PUBLIC = {
-    "Brdf", "Btf", "Camera", "DataError", "Directional", "FitConfig", "FitError", "FitResult", "Material", "Point",
-    "RangeError", "RawBtf", "Recipe", "Scene", "ShapeError", "TorchmatError", "compare", "environment_lights", "evaluate",
+    "LBFGS", "Adam", "Brdf", "Btf", "Camera", "ClosedForm", "DataError", "Directional", "FitConfig", "FitError", "FitResult",
+    "LevenbergMarquardt", "Material", "Minibatch", "Point", "RangeError", "RawBtf", "Recipe", "Scene", "ShapeError",
+    "TorchmatError", "VariableProjection", "compare", "environment_lights", "evaluate",
     "fit", "load_brdf", "load_btf", "load_config", "load_material", "pack", "recover_geometry", "refit", "register",
     "render", "sample_path", "sample_truth", "save_material", "split_samples",
 }

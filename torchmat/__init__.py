@@ -12,13 +12,15 @@ from torchmat.material_io import load_material, pack, save_material
 from torchmat.models import Material
 from torchmat.rendering import Camera, Directional, Point, Scene, environment_lights, render
 from torchmat.report import compare
+from torchmat.solvers import LBFGS, Adam, ClosedForm, LevenbergMarquardt, Minibatch, VariableProjection
 from torchmat.sample import sample_path, sample_truth
 
 __version__ = package_version()
 
 __all__ = [
-    "Brdf", "Btf", "Camera", "DataError", "Directional", "FitConfig", "FitError", "FitResult", "Material", "Point",
-    "RangeError", "RawBtf", "Recipe", "Scene", "ShapeError", "TorchmatError", "compare", "environment_lights", "evaluate",
+    "LBFGS", "Adam", "Brdf", "Btf", "Camera", "ClosedForm", "DataError", "Directional", "FitConfig", "FitError", "FitResult",
+    "LevenbergMarquardt", "Material", "Minibatch", "Point", "RangeError", "RawBtf", "Recipe", "Scene", "ShapeError",
+    "TorchmatError", "VariableProjection", "compare", "environment_lights", "evaluate",
     "fit", "load_brdf", "load_btf", "load_config", "load_material", "pack", "recover_geometry", "refit", "register",
     "render", "sample_path", "sample_truth", "save_material", "split_samples",
 ]
