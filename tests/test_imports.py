@@ -25,11 +25,12 @@ ROOMS_THAT_DO_NOT_MEET = {room: _SIDE_BY_SIDE - {room} for room in _SIDE_BY_SIDE
 ROOMS_THAT_DO_NOT_MEET["models"] = {"btf"}
 
 PUBLIC = {
-    "Brdf", "Btf", "Camera", "DataError", "Directional", "Exporter", "FitConfig", "FitError", "FitResult", "Losses",
-    "Material", "Point", "RangeError", "RawBtf", "Reader", "Recipe", "Scene", "ShapeError", "TorchmatError", "compare",
-    "environment_lights", "evaluate", "export", "fit", "load_brdf", "load_btf", "load_config", "load_material", "pack",
-    "recover_geometry", "refit", "register", "register_exporter", "register_reader", "render", "sample_path",
-    "sample_truth", "save_material", "split_samples",
+    "LBFGS", "Adam", "Brdf", "Btf", "Camera", "ClosedForm", "DataError", "Directional", "Exporter", "FitConfig",
+    "FitError", "FitResult", "LevenbergMarquardt", "Losses", "Material", "Minibatch", "Point", "RangeError", "RawBtf",
+    "Reader", "Recipe", "Scene", "ShapeError", "TorchmatError", "VariableProjection", "compare", "environment_lights",
+    "evaluate", "export", "fit", "load_brdf", "load_btf", "load_config", "load_material", "pack", "recover_geometry",
+    "refit", "register", "register_exporter", "register_reader", "render", "sample_path", "sample_truth",
+    "save_material", "split_samples",
 }
 
 

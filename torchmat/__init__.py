@@ -12,14 +12,16 @@ from torchmat.material_io import Exporter, Losses, export, load_material, pack, 
 from torchmat.models import Material
 from torchmat.rendering import Camera, Directional, Point, Scene, environment_lights, render
 from torchmat.report import compare
+from torchmat.solvers import LBFGS, Adam, ClosedForm, LevenbergMarquardt, Minibatch, VariableProjection
 from torchmat.sample import sample_path, sample_truth
 
 __version__ = package_version()
 
 __all__ = [
-    "Brdf", "Btf", "Camera", "DataError", "Directional", "Exporter", "FitConfig", "FitError", "FitResult", "Losses",
-    "Material", "Point", "RangeError", "RawBtf", "Reader", "Recipe", "Scene", "ShapeError", "TorchmatError", "compare",
-    "environment_lights", "evaluate", "export", "fit", "load_brdf", "load_btf", "load_config", "load_material", "pack",
-    "recover_geometry", "refit", "register", "register_exporter", "register_reader", "render", "sample_path",
-    "sample_truth", "save_material", "split_samples",
+    "LBFGS", "Adam", "Brdf", "Btf", "Camera", "ClosedForm", "DataError", "Directional", "Exporter", "FitConfig",
+    "FitError", "FitResult", "LevenbergMarquardt", "Losses", "Material", "Minibatch", "Point", "RangeError", "RawBtf",
+    "Reader", "Recipe", "Scene", "ShapeError", "TorchmatError", "VariableProjection", "compare", "environment_lights",
+    "evaluate", "export", "fit", "load_brdf", "load_btf", "load_config", "load_material", "pack", "recover_geometry",
+    "refit", "register", "register_exporter", "register_reader", "render", "sample_path", "sample_truth",
+    "save_material", "split_samples",
 ]

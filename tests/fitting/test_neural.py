@@ -70,10 +70,9 @@ def test_the_curve_is_measured_on_held_out_samples_as_the_fit_goes_on():
 
 
 @pytest.mark.parametrize(("rate", "reason"), [(1e3, "diverged"), (1e30, "not finite")])
-def test_a_step_far_too_large_ends_in_a_named_reason_with_the_best_so_far(monkeypatch, rate, reason):
-    monkeypatch.setattr(neural, "_RATE", rate)
-    monkeypatch.setattr(neural, "_LATENT_RATE", rate)
-    result = tm.fit(plausible(), "neural", geometry="flat", effort=0.02, measure=False, **SMALL)
+def test_a_step_far_too_large_ends_in_a_named_reason_with_the_best_so_far(rate, reason):
+    options = {**SMALL, "solver": tm.Minibatch(rate=rate), "effort": 0.02}
+    result = tm.fit(plausible(), "neural", geometry="flat", measure=False, **options)
     assert result.stop_reason == reason
     assert all(bool(torch.isfinite(value).all()) for value in maps_of(result).values())
 

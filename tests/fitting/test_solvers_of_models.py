@@ -10,11 +10,11 @@ from tests.support import all_pairs, assert_close, hemisphere, plausible_images
 import torchmat as tm
 from torchmat import Btf, RangeError
 from torchmat.fitting import RECIPES, default_options
-from torchmat.fitting.models.any_model import Objective
-from torchmat.fitting.models.unbounded import Unbounded
+from torchmat.fitting.models.any_model import Misfit, Seen
 from torchmat.fitting.training import make_training
 from torchmat.models.bases import BASES
 from torchmat.models.lobes import LOBES
+from torchmat.models.unbounded import Unbounded
 from torchmat.report.comparison import parse_model
 from torchmat.solvers.stop_reasons import BUDGET, CONVERGED, STEP_LIMIT
 
@@ -53,8 +53,8 @@ def test_lbfgs_stops_where_the_gradient_is_nearly_zero():
     worse = fitted.with_maps(harmonic=fitted.maps["harmonic"] * 0.5)
     gradients = []
     for material in (worse, fitted):
-        unknowns = Unbounded(material)
-        Objective(training, unknowns)()
+        unknowns = Unbounded(material.own_specs(), material.maps)
+        Misfit(Seen(training, material), unknowns)()
         gradients.append(float(unknowns.parameters[0].grad.norm()))
     assert gradients[1] < 1e-2 * gradients[0]
 
@@ -64,8 +64,8 @@ def test_the_objective_is_the_weighted_error_of_a_plain_loop():
     training = make_training(btf, torch.arange(0, len(btf), 2), 0, True, torch.float64, False)
     with torch.no_grad():
         material = RECIPES["texture"].run(training).material
-    unknowns = Unbounded(material)
-    found = Objective(training, unknowns)()
+    unknowns = Unbounded(material.own_specs(), material.maps)
+    found = Misfit(Seen(training, material), unknowns)()
     above = below = 0.0
     for sample in range(0, len(btf), 2):
         target = btf.image(sample).double()

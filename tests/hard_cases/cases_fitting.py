@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import math
 from typing import Any
-from unittest import mock
 
 import numpy as np
 import torch
 from tests.brdf.directions import HARD_PAIRS, graze
 from tests.hard_cases.cases_shading import FULL, digits_right
-from tests.hard_cases.components import Room, steps_for
+from tests.hard_cases.components import Room, stepping
 from tests.hard_cases.hard_directions import half_pairs
 from tests.support import all_pairs, assert_close, hemisphere, plausible_images
 
@@ -19,9 +18,8 @@ from torchmat import Btf
 from torchmat.btf.btf import CLIPPED, summarise
 from torchmat.btf.decode import Decoder
 from torchmat.fitting import predict
-from torchmat.fitting.models import any_model as by_descent
-from torchmat.fitting.models.any_model import DESCENTS
 from torchmat.fitting.recipe import RECIPES
+from torchmat.solvers import DESCENTS, LBFGS
 from torchmat.solvers import stop_reasons as reasons
 
 LIGHTS = hemisphere()
@@ -62,8 +60,7 @@ def fitted(btf: Btf, given: Road, room: Room, **options: Any) -> tm.FitResult:
     model, solver = given
     small = small_options(model, len(btf), btf.height * btf.width, room.thorough)
     asked = {"holdout": 0, "measure": False, "progress": False, "storage": "float", **small, **options}
-    with steps_for(room):
-        result = tm.fit(btf, model, solver=solver, **asked)
+    result = tm.fit(btf, model, **{"solver": stepping(model, solver, room), **asked})
     material = result.material
     for name, value in material.maps.items():
         assert bool(torch.isfinite(value).all()), f"the map {name} is not finite"
@@ -282,15 +279,15 @@ def precision(given: Road, room: Room) -> float:
     return figure
 
 
-class _Poisoned(by_descent.Objective):
-    """An objective whose third value, and every later one, is not a number."""
+class _Poisoned:
+    """The linear residual, whose third gradient, and every later one, belongs to a value that is not a number."""
 
-    calls = 0
+    def __init__(self) -> None:
+        self.calls = 0
 
-    def __call__(self, rows=None):
-        self.calls += 1
-        value = super().__call__(rows)
-        return value if self.calls < 3 else math.nan
+    def __call__(self, predicted, target, weight):
+        self.calls += predicted.requires_grad
+        return weight.sqrt() * (predicted - target) * (1.0 if self.calls < 3 else math.nan)
 
 
 def named_reasons(given: Road, room: Room) -> None:
@@ -300,10 +297,9 @@ def named_reasons(given: Road, room: Room) -> None:
     fitted(btf, given, room, seconds=1e-6)
     if solver not in DESCENTS or model == "distribution" or is_default(given):
         return  # no steps whose length could be chosen
-    with mock.patch.dict(by_descent._RATES, {name: 1e3 * rate for name, rate in by_descent._RATES.items()}):
-        fitted(btf, given, room)
-    with mock.patch.object(by_descent, "Objective", _Poisoned):
-        fitted(btf, given, room)
+    far = {} if solver == LBFGS.name else {"rate": 30.0}  # a thousand times the usual
+    fitted(btf, given, room, solver=stepping(model, solver, room, **far))
+    fitted(btf, given, room, objective=_Poisoned())
 
 
 def same_bits(given: Road, room: Room) -> None:

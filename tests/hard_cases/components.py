@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from tests.models.examples import EXAMPLE_OPTIONS
 
-from torchmat.fitting.models import any_model as by_descent
 from torchmat.fitting.recipe import RECIPES
 from torchmat.models import MATERIALS
 from torchmat.rendering.scene import PATCH
 from torchmat.rendering.shapes import SHAPES
+from torchmat.solvers import DESCENTS, SOLVERS, Solver
 
 
 class Component(NamedTuple):
@@ -93,12 +92,8 @@ KINDS: dict[str, Callable[[], list[Component]]] = {
 _FEW_STEPS, _MORE_STEPS = {"adam": 6, "minibatch": 12, "lbfgs": 4}, {"adam": 60, "minibatch": 120, "lbfgs": 30}
 
 
-@contextmanager
-def steps_for(room: Room) -> Iterator[None]:
-    """Let solvers that step take few steps, more when the room has time: what breaks, breaks early."""
-    before = dict(by_descent._STEPS)
-    by_descent._STEPS.update(_MORE_STEPS if room.thorough else _FEW_STEPS)
-    try:
-        yield
-    finally:
-        by_descent._STEPS.update(before)
+def stepping(model: str, solver: str, room: Room, **more: Any) -> str | Solver:
+    """Return a solver that takes few steps, more when the room has time: what breaks, breaks early; others as they are."""
+    if solver not in DESCENTS or solver in RECIPES[model].solvers:
+        return solver
+    return SOLVERS[solver](steps=(_MORE_STEPS if room.thorough else _FEW_STEPS)[solver], **more)

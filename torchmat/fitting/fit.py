@@ -18,8 +18,9 @@ from torchmat.errors import RangeError, message
 from torchmat.fitting.choice.choose import fit_auto
 from torchmat.fitting.config import FitConfig, load_config
 from torchmat.fitting.evaluate import SPLITS, evaluate, evaluate_parts, shading_rate
-from torchmat.fitting.from_material import descent_of, fit_from, kept_names
+from torchmat.fitting.from_material import check_free, fit_from, kept_names, onward_of
 from torchmat.fitting.geometry import AUTO_RELIEF, RECOVER, Geometry, resolve_geometry
+from torchmat.fitting.objective import described
 from torchmat.fitting.on_relief import fit_with_geometry
 from torchmat.fitting.recipe import recipe_of
 from torchmat.fitting.recipes import AUTO, resolve_options
@@ -127,7 +128,8 @@ def fit(
         watch.note(lambda: fitted.material)
     seconds = watch.seconds
     errors, held_out = evaluate_parts(btf, fitted.material, split, progress) if measure else (dict.fromkeys(SPLITS), None)
-    ways = {"options": task.options if fitted.options is None else fitted.options, "geometry": task.geometry}
+    used = task.options if fitted.options is None else fitted.options
+    ways = {"options": described(used), "geometry": task.geometry}
     report = {**_described(btf, config, fitted), **ways, "fit_seconds": seconds, **errors, "curve": watch.history}
     if task.scene is not None:
         report["scene"] = scene_figures(btf, fitted, split, task.scene, config.tiles, measure, progress)
@@ -172,13 +174,15 @@ def _of_material(
     btf: Btf, material: Material, options: dict[str, Any], given: dict[str, Any], seconds: float | None, dtype: torch.dtype
 ) -> _Task:
     """Return the task of a material that is fitted on from its own maps."""
-    how = descent_of(btf, material, options)
+    how = onward_of(btf, material, options)
+    kept = kept_names(material, how.keep)
+    check_free(material, kept)
     if material.dtype != dtype:
         step = f"Give dtype={material.dtype}, or convert the material with .to({dtype})."
         raise RangeError(message("fit a material", "dtype", f"be {material.dtype} as its maps are", f"it is {dtype}", step))
     known = {name: value for name, value in given.items() if value is not None and name in ("holdout", "holdout_by", "seed")}
     config = FitConfig(tiles=material.tiles, target={} if seconds is None else {"seconds": seconds}, **known)
-    used = {**dataclasses.asdict(how), "keep": kept_names(material, how.keep)}
+    used = {"solver": how.solver.filled(), "objective": how.objective, "keep": kept}
     word = "given" if material.has_relief else "flat"
     return _Task(config, used, word, lambda training: fit_from(training, material, how))
 

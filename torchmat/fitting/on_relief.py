@@ -35,8 +35,7 @@ def fit_on_relief(
     height = height.to(training.dtype)
     surface = bring_onto(training, height, window=window, sight=sight)
     height = height if window is None else window.crop(height)
-    own = recipe_of(model).on_relief
-    fitted = None if own is None else own(surface, height, **options)
+    fitted = recipe_of(model).run_on_relief(surface, height, options)
     if fitted is not None:
         return fitted
     shadowed, usual = ambient_and_usual(surface)

@@ -5,16 +5,21 @@ from __future__ import annotations
 import inspect
 import typing
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields, replace
 from typing import Any
+
+from torch import Tensor
 
 from torchmat.errors import RangeError, check_option, message
 from torchmat.fitting.geometry import FLAT, GEOMETRIES
-from torchmat.fitting.models.any_model import DESCENTS, descend, fit_by_descent
+from torchmat.fitting.models.any_model import descend, fit_by_descent
+from torchmat.fitting.objective import LINEAR, check_objective
+from torchmat.fitting.relief.surface import Surface
 from torchmat.fitting.shared import Shared
 from torchmat.fitting.training import Fitted, Training
 from torchmat.models import MATERIALS, Material, register_material
 from torchmat.models.storage import StoredAs
+from torchmat.solvers import DESCENTS, SOLVERS, Solver, Stepping, as_solver
 
 AUTO = "auto"  # not a model: the choice among them
 
@@ -97,9 +102,11 @@ class Recipe:
     Material`` gives maps from which the solvers of all models (adam, minibatch, lbfgs) descend.
 
     `descends` says that those solvers serve as well, from what `fit` makes of few samples; without it `solvers` are all
-    there are. `on_relief` (surface, height, options) fits shadow and ambient itself, or returns None for options that
-    take the way of all models; those of `rungs` it must take. `geometry`, "flat" or "recover", is what a fit
-    takes the surface for where nothing else is asked. `shared` is the class of what its fit says that all texels have in common. `quick` are options of the fit that says what a relief is worth, `rungs` the candidates
+    there are. `objective` is what the fit makes small, which those solvers then do too unless they are asked for another;
+    a fit that takes any has a keyword of that name. `on_relief` (surface, height, options) fits shadow and ambient
+    itself, or returns None for options that take the way of all models; those of `rungs` it must take. `geometry`, "flat"
+    or "recover", is what a fit takes the surface for where nothing else is asked. `shared` is the class of what its fit
+    says that all texels have in common. `quick` are options of the fit that says what a relief is worth, `rungs` the candidates
     of the automatic choice, `ladder` how it is built part by part there. `compared` are the options of its rows in a comparison ("terms=9"; empty is none), and
     `solvers_differ` adds a row for each further solver, where none is the obvious one.
     """
@@ -109,6 +116,7 @@ class Recipe:
     start: Callable[..., Material] | None = None
     solvers: tuple[str, ...] = ("closed_form",)
     descends: bool = True
+    objective: str = LINEAR
     on_relief: Callable[..., Fitted | None] | None = None
     quick: Mapping[str, Any] = field(default_factory=dict)
     tiling: Tiling = Tiling()
@@ -131,6 +139,8 @@ class Recipe:
             step = "Give fit(training, *, ...) -> Fitted, or start(training, *, ...) -> Material to descend from."
             raise RangeError(message(where, f"the fit of {self.name}", "be `fit` or `start`", fact, step))
         check_option(where, "geometry", self.geometry, GEOMETRIES)
+        for solver in self.solvers:
+            check_option(where, f"a solver of {self.name}", solver, SOLVERS)
 
     @property
     def name(self) -> str:
@@ -146,39 +156,84 @@ class Recipe:
 
     @property
     def options(self) -> dict[str, Any]:
-        """The model's options and their defaults: the keywords of its fit or start, and the solver."""
+        """The model's options and their defaults: the keywords of its fit or start, the solver and the objective."""
         parameters = inspect.signature(self.fit or self.start).parameters.values()
         own = {p.name: p.default for p in parameters if p.kind is inspect.Parameter.KEYWORD_ONLY}
         more = {"steps": 0, "rate": 0.0} if self.fit is None else {}
-        return {**own, **more, "solver": self.all_solvers[0]}
+        return {**own, **more, "solver": self.all_solvers[0], "objective": self.objective}
 
     @property
     def kinds(self) -> dict[str, Any]:
         """What each option may be: a type, or a union of types and literal words."""
-        found = {"solver": str, "steps": int, "rate": float, **typing.get_type_hints(self.fit or self.start)}
+        found = {"steps": int, "rate": float, **typing.get_type_hints(self.fit or self.start), "solver": str, "objective": str}
         return {name: found.get(name, type(default)) for name, default in self.options.items()}
 
     @property
     def iterates(self) -> bool:
         """Whether the default solver goes step by step, so that a time says more with its error."""
-        return self.all_solvers[0] in DESCENTS
+        return issubclass(SOLVERS[self.all_solvers[0]], Stepping)
 
-    def run(self, training: Training, *, solver: str | None = None, **options: Any) -> Fitted:
+    def solver_of(self, options: Mapping[str, Any]) -> Solver:
+        """Return the solver that options ask for, with their `steps` and `rate`, and check that it takes their objective.
+
+        Raises RangeError, saying what to give, for solvers that do not serve this model, for settings that are given
+        twice, and for an objective that the solver has none of.
+        """
+        where = f"fit {self.name}"
+        solver = as_solver(where, options.get("solver") or self.all_solvers[0], self.all_solvers)
+        for name in ("steps", "rate") if self.fit is None else ():
+            if options.get(name):
+                solver = with_setting(where, solver, name, options[name])
+        objective = options.get("objective", self.objective)
+        check_objective(where, objective, (self.objective,))
+        if objective != self.objective and not isinstance(solver, Stepping):
+            others = [name for name in self.all_solvers if issubclass(SOLVERS[name], Stepping)]
+            step = f"Give solver={' or '.join(map(repr, others))}, which make any small."
+            step = step if others else "A fit that goes on from the material takes any: fit(btf, material, objective=...)."
+            raise RangeError(message(where, "objective", f"be {self.objective!r} by {solver.name}", f"it is {objective!r}", step))
+        return solver
+
+    def run(self, training: Training, **options: Any) -> Fitted:
         """Fit the model to a flat surface by one of its solvers."""
-        solver = solver or self.all_solvers[0]
-        check_option(f"fit {self.name}", "solver", solver, self.all_solvers)
+        solver, objective = self.solver_of(options), options.pop("objective", self.objective)
+        options.pop("solver", None)
         if self.fit is None:
-            steps, rate = options.pop("steps", 0), options.pop("rate", 0.0)
-            material = self.start(training, **options)
+            material = self.start(training, **{name: value for name, value in options.items() if name not in ("steps", "rate")})
             tables = [spec.name for spec in material.own_specs() if spec.constant or not spec.per_texel]
             known = {name: training.table(name) for name in tables if training.table(name) is not None}
             material = material.with_maps(**known) if known else material
             begun = Fitted(material, shared=Shared({name: material.maps[name].detach() for name in tables}))
-            return descend(training, begun, solver, rate=rate or None, steps=steps or None)
-        if solver not in self.solvers:
-            return fit_by_descent(training, self.fit, solver, options)
-        takes_it = "solver" in inspect.signature(self.fit).parameters
-        return self.fit(training, **options, **({"solver": solver} if takes_it else {}))
+            return descend(training, begun, solver, objective)
+        if solver.name not in self.solvers:
+            return fit_by_descent(training, self.fit, solver, options, objective)
+        return self.fit(training, **options, **_taken(self.fit, solver=solver, objective=objective))
+
+    def run_on_relief(self, surface: Surface, height: Tensor, options: Mapping[str, Any]) -> Fitted | None:
+        """Fit the model over a relief in its own way; None where these options take the way of all models."""
+        if self.on_relief is None:
+            return None
+        solver, objective = self.solver_of(options), options.get("objective", self.objective)
+        if solver.name not in self.solvers:
+            return None
+        own = {name: value for name, value in options.items() if name not in ("solver", "objective")}
+        return self.on_relief(surface, height, **own, **_taken(self.on_relief, solver=solver, objective=objective))
+
+
+def with_setting(where: str, solver: Solver, name: str, value: Any) -> Solver:
+    """Return a solver with one more setting; raises RangeError when it has it already, or none of that name."""
+    if name in solver.given:
+        fact = f"the solver has {solver.given[name]!r} and {name} is {value!r}"
+        raise RangeError(message(where, name, "be given once", fact, "Leave one of them out."))
+    if name not in (field.name for field in fields(solver)):
+        raise RangeError(message(where, name, f"be left out with {solver.name}", "it has no such setting"))
+    return replace(solver, **{name: value})
+
+
+def _taken(function: Callable[..., Any], **offered: Any) -> dict[str, Any]:
+    """Return those of the keywords that a function has."""
+    known = inspect.signature(function).parameters
+    every = any(one.kind is one.VAR_KEYWORD for one in known.values())
+    return {name: value for name, value in offered.items() if every or name in known}
 
 
 RECIPES: dict[str, Recipe] = {}

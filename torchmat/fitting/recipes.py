@@ -16,6 +16,7 @@ from torchmat.fitting.models.phong_srf import PHONG_SRF
 from torchmat.fitting.models.shading_map import SHADING_MAP
 from torchmat.fitting.models.spheres.to_btf import SPHERE_IMAGES
 from torchmat.fitting.recipe import AUTO, RECIPES, recipe_of, register
+from torchmat.solvers import as_solver
 
 for _recipe in (
     TEXTURE, LAMBERT, LPTM, PTM, HSH, PHONG_SRF, PCA, LOCAL_PCA, SPHERE_IMAGES, SHADING_MAP, DISTRIBUTION, NEURAL,
@@ -30,15 +31,21 @@ def default_options(model: str) -> dict[str, object]:
 
 
 def resolve_options(model: str, given: dict[str, object]) -> dict[str, object]:
-    """Return all options of `model` with those `given`; raises RangeError, with the nearest name, for unknown ones."""
+    """Return all options of `model` with those `given`, the solver as an object.
+
+    Raises RangeError, with the nearest name, for unknown ones.
+    """
     defaults = default_options(model)
     check_known_keys(f"fit {model}", given, defaults)
     kinds = {} if model == AUTO else recipe_of(model).kinds
     for name, value in given.items():
-        check_kind(f"fit {model}", name, value, kinds[name])
-    if "solver" in given:
-        check_option(f"fit {model}", "solver", given["solver"], recipe_of(model).all_solvers)
-    return {**defaults, **given}
+        if name not in ("solver", "objective"):
+            check_kind(f"fit {model}", name, value, kinds[name])
+    found = {**defaults, **given}
+    if found:  # the choice among models has none
+        recipe_of(model).solver_of(found)
+        found["solver"] = as_solver(f"fit {model}", found["solver"], recipe_of(model).all_solvers)
+    return found
 
 
 _KINDS = {int: "a whole number", float: "a number", str: "a text", bool: "true or false"}

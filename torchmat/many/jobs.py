@@ -10,6 +10,7 @@ from typing import Any
 
 from torchmat.errors import DataError, RangeError, check_known_keys, message
 from torchmat.fitting import FitConfig, load_config
+from torchmat.fitting.objective import described
 from torchmat.fitting.recipes import AUTO, resolve_options
 from torchmat.report.tables import to_json
 from torchmat.text_file import read_toml
@@ -50,7 +51,7 @@ class Job:
         wanted["geometry"] = config.geometry_word
         chosen = bool(report.get("figures", {}).get("auto"))
         if config.model != AUTO:
-            wanted |= {"model": config.model, "options": resolve_options(config.model, config.options)}
+            wanted |= {"model": config.model, "options": described(resolve_options(config.model, config.options))}
         wanted = json.loads(to_json(wanted))  # as a report holds it
         same = chosen == (config.model == AUTO) and all(report.get(name) == value for name, value in wanted.items())
         source = report.get("source", {}).get("path", "")

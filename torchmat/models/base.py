@@ -219,6 +219,10 @@ class Material(Storable):
         """Return the material without its relief: what one texel does with its light."""
         return self.sharing({spec.name: self.maps[spec.name] for spec in self.own_specs()})
 
+    def from_surface(self, maps: Mapping[str, Tensor]) -> dict[str, Tensor]:
+        """Return the own maps of the material for `maps` of its `surface`: without what its height alone says."""
+        return {name: value for name, value in maps.items() if name in self.maps}
+
     def sharing(self, maps: dict[str, Tensor]) -> Self:
         """Return a flat material of these very tensors, not of copies: gradients pass through to what they came from.
 

@@ -30,6 +30,40 @@ _GRAZING = 1e-4
 _PARTS = 16
 
 
+def distribution_specs(lobes: int, parts: Sequence[str], mask_channels: int = 1) -> tuple[MapSpec, ...]:
+    """Return what each map of a distribution material of so many `lobes` and these optional `parts` is."""
+    numbers = tuple(str(number + 1) for number in range(lobes))
+    every = {
+        "normal": MapSpec(
+            "normal", "unit normal; on a relief, its refinement", low=-1.0, high=1.0, fixed_range=True, kind="normal",
+        ),
+        "specular_mask": MapSpec(
+            "specular_mask", "scale of the specular colour", layer_channels=mask_channels, low=0.0,
+            colour=True, linear=True,
+        ),
+        "fresnel": MapSpec("fresnel", "reflectance at normal incidence, r0", layer_channels=1, low=0.0, high=1.0),
+        "rotation": MapSpec(
+            "rotation", "cosine (x) and sine (y) of the turn of the specular map", layers=("x", "y"),
+            layer_channels=1, low=-1.0, high=1.0, fixed_range=True, kind="rotation",
+        ),
+        # The whole material's curve: what is painted on some texels must not bend it.
+        "tilt": MapSpec(
+            "tilt", "1 - d for 0..90 degrees", layer_channels=1, low=0.0, high=1.0, per_texel=False, fixed=True,
+        ),
+    }
+    specs = [MapSpec("diffuse", "diffuse colour", low=0.0, colour=True, linear=True)]
+    specs += [every[part] for part in parts]
+    if lobes > 1:
+        weight = "weight of each specular map"
+        specs.append(MapSpec(
+            "index", weight, layers=numbers, layer_channels=1, low=0.0, high=1.0, linear=True, kind="weights",
+        ))
+    if lobes > 0:
+        specular = "colour for each half vector, parabolic"
+        specs.append(MapSpec("specular", specular, layers=numbers, low=0.0, per_texel=False, linear=True))
+    return tuple(specs)
+
+
 class Distribution(Material):
     """The artist's material: diffuse, and `lobes` specular maps that a mask, an index and a rotation place.
 
@@ -72,29 +106,7 @@ class Distribution(Material):
             raise ShapeError(message(self.name, "tilt", f"be [1, 1, {TILT_SAMPLES}]", f"it is {shape}"), map="tilt")
 
     def own_specs(self) -> tuple[MapSpec, ...]:
-        numbers = tuple(str(number + 1) for number in range(self._lobes))
-        every = {
-            "normal": MapSpec("normal", "unit normal; on a relief, its refinement", low=-1.0, high=1.0, fixed_range=True),
-            "specular_mask": MapSpec(
-                "specular_mask", "scale of the specular colour", layer_channels=self.options["mask_channels"], low=0.0,
-                colour=True, linear=True,
-            ),
-            "fresnel": MapSpec("fresnel", "reflectance at normal incidence, r0", layer_channels=1, low=0.0, high=1.0),
-            "rotation": MapSpec(
-                "rotation", "cosine (x) and sine (y) of the turn of the specular map", layers=("x", "y"),
-                layer_channels=1, low=-1.0, high=1.0, fixed_range=True,
-            ),
-            "tilt": MapSpec("tilt", "1 - d for 0..90 degrees", layer_channels=1, low=0.0, high=1.0, per_texel=False),
-        }
-        specs = [MapSpec("diffuse", "diffuse colour", low=0.0, colour=True, linear=True)]
-        specs += [every[part] for part in self.options["parts"]]
-        if self._lobes > 1:
-            weight = "weight of each specular map"
-            specs.append(MapSpec("index", weight, layers=numbers, layer_channels=1, low=0.0, high=1.0, linear=True))
-        if self._lobes > 0:
-            specular = "colour for each half vector, parabolic"
-            specs.append(MapSpec("specular", specular, layers=numbers, low=0.0, per_texel=False, linear=True))
-        return tuple(specs)
+        return distribution_specs(self._lobes, self.options["parts"], self.options["mask_channels"])
 
     def surface(self) -> Distribution:
         flat = super().surface()
@@ -105,6 +117,13 @@ class Distribution(Material):
             slopes = slopes + slopes_from_normals(safe.normalise(self.maps["normal"]))
         parts = [part for part in DISTRIBUTION_PARTS if part in (*self.options["parts"], "normal")]
         return flat._unchecked({**flat.maps, "normal": normals_from_slopes(slopes)}, options={**self.options, "parts": parts})
+
+    def from_surface(self, maps: Mapping[str, Tensor]) -> dict[str, Tensor]:
+        found = super().from_surface(maps)
+        if self.has_relief and "normal" in found:
+            own = slopes_from_height(self.maps["height"], tiles=self.tiles)
+            found["normal"] = normals_from_slopes(slopes_from_normals(maps["normal"]) - own)
+        return found
 
     def value(self, light: Tensor, view: Tensor) -> Tensor:
         frame, normal = self._frame()

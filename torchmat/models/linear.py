@@ -51,7 +51,7 @@ class Lambert(Material):
 
     def own_specs(self) -> tuple[MapSpec, ...]:
         albedo = MapSpec("albedo", "diffuse colour", low=0.0, colour=True, linear=True)
-        normal = MapSpec("normal", "unit normal, x right, y up", low=-1.0, high=1.0, fixed_range=True)
+        normal = MapSpec("normal", "unit normal, x right, y up", low=-1.0, high=1.0, fixed_range=True, kind="normal")
         return (albedo, normal) if self.options["normals"] == "map" else (albedo,)
 
     def surface(self) -> Lambert:

@@ -35,7 +35,7 @@ def _check_table(where: str, maps: Mapping[str, Tensor], name: str, rows: int) -
 def _directions_spec() -> MapSpec:
     return MapSpec(
         "directions", "projected light x, y and view x, y of each measured sample", layer_channels=4,
-        low=-1.0, high=1.0, per_texel=False, storage="float",
+        low=-1.0, high=1.0, per_texel=False, storage="float", fixed=True,
     )
 
 

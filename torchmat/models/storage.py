@@ -45,6 +45,9 @@ STORAGES = {
 }
 
 
+KINDS = ("value", "normal", "rotation", "weights")
+
+
 @dataclass(frozen=True)
 class MapSpec:
     """What a map is.
@@ -54,7 +57,10 @@ class MapSpec:
     integer codes span exactly low..high rather than the values that occur. `colour` marks linear RGB, which 8-bit
     textures hold sRGB-encoded. `index` marks whole numbers, always stored exactly and looked up without filtering.
     `per_texel` is False for tables shared by all texels, `constant` True for a handful of numbers that go into the
-    manifest. `linear` says whether the shaded value is linear in the map. `storage` overrides the material's.
+    manifest. `linear` says whether the shaded value is linear in the map. `storage` overrides the material's. `kind` is
+    what the channels of a place are together, which decides what a descent may change (`models.unbounded`): a "value"
+    each, a unit "normal", the cosine and sine of a "rotation", or "weights" that sum to 1. `fixed` says that a fit that
+    goes on from a material leaves the map as it is.
     """
 
     name: str
@@ -70,6 +76,11 @@ class MapSpec:
     constant: bool = False
     linear: bool = False
     storage: str | None = None
+    kind: str = "value"
+    fixed: bool = False
+
+    def __post_init__(self) -> None:
+        check_option(f"the map {self.name}", "kind", self.kind, KINDS)
 
     @property
     def textures(self) -> tuple[str, ...]:

@@ -18,8 +18,8 @@ from torchmat.fitting.recipe import recipe_of
 from torchmat.fitting.recipes import AUTO, resolve_options
 from torchmat.machine import MemoryMark
 from torchmat.report.tables import COMPARE_COLUMNS
+from torchmat.solvers import Solver, Stepping
 
-_AT_ONCE = ("closed_form", "lm", "varpro")  # solvers whose error does not fall bit by bit
 _COSTS = {"total_bytes_per_texel": "bytes", "fit_seconds": "seconds", "shade_mtexels_per_s": "shading"}
 
 
@@ -39,12 +39,16 @@ class Entry:
     @property
     def solver(self) -> str:
         """How the model's numbers are found."""
-        return str(resolve_options(self.model, self.options)["solver"])
+        return self._solver.name
+
+    @property
+    def _solver(self) -> Solver:
+        return resolve_options(self.model, self.options)["solver"]
 
     @property
     def iterates(self) -> bool:
         """Whether its error falls bit by bit, so that a curve says more than a point."""
-        return self.solver not in _AT_ONCE
+        return isinstance(self._solver, Stepping)
 
 
 @dataclass(frozen=True)

@@ -106,17 +106,17 @@ class LambertShared(Shared):
 
 
 def fit_lambert_on_relief(
-    surface: Surface, height: Tensor, *, normals: str = "auto", solver: str = "closed_form", storage: str = "half"
+    surface: Surface, height: Tensor, *, normals: str = "auto", storage: str = "half"
 ) -> Fitted | None:
     """Fit albedo and ambient colour of each texel for the normals of the height, in closed form.
 
-    Returns None for normals="map" and for other solvers: they take the way of all models, with a normal map.
+    Returns None for normals="map", which takes the way of all models.
 
     ``value = albedo * lit * max(0, n.l) + ambient``, both non-negative: two unknowns a channel. Samples weigh the less
     the brighter they are, as they do to the eye; without that, PSNR on deep relief is 0.6 dB lower.
     """
     check_option("fit lambert", "normals", normals, ("auto", *NORMALS))
-    if normals == "map" or (normals == "auto" and solver != "closed_form"):
+    if normals == "map":
         return None
     training = surface.training
     btf, dtype = training.btf, training.dtype

@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from torchmat.brdf.lobe import Lobe
+from torchmat.solvers import LevenbergMarquardt
 from torchmat.solvers.levenberg_marquardt import Solution, levenberg_marquardt
 
 _BRIGHTEST = 4.0
@@ -83,12 +84,19 @@ def by_differences(residual: Callable[[Tensor], Tensor]) -> Callable[[Tensor], T
     return jacobian
 
 
+def limits_of(solver: LevenbergMarquardt | None, **usual: Any) -> dict[str, Any]:
+    """Return the solver's settings, or else what is `usual` here, as keywords of `levenberg_marquardt`."""
+    filled = (solver or LevenbergMarquardt()).filled(**usual)
+    return {"max_steps": filled.steps, "tolerance": filled.tolerance}
+
+
 def fit_lobe(
-    lobe: Lobe, light: Tensor, view: Tensor, values: Tensor, differences: bool = False, importance: Tensor | None = None
+    lobe: Lobe, light: Tensor, view: Tensor, values: Tensor, differences: bool = False, importance: Tensor | None = None,
+    solver: LevenbergMarquardt | None = None,
 ) -> tuple[Tensor, str]:
     """Return (parameters [P], stop reason) of the lobe nearest to `values` [m, 3] at planes `light`, `view`, float64.
 
-    From every start for a few steps, then the best is carried through. `importance` [m] is what each value counts, None
+    From every start for a few steps, then the best is carried through by `solver`. `importance` [m] is what each value counts, None
     for all alike. `differences` takes the Jacobian from central
     differences where the lobe has no formula.
     """
@@ -96,5 +104,5 @@ def fit_lobe(
     problem = LobeProblem(lobe, light, view, values, root)
     settings = {"jacobian": by_differences(problem.residual)} if differences and lobe.jacobian is None else {}
     explored = problem.solve(scaled_starts(lobe, values), max_steps=6, **settings)
-    solution = problem.solve(explored.parameters[explored.cost.argmin()][None], **settings)
+    solution = problem.solve(explored.parameters[explored.cost.argmin()][None], **limits_of(solver), **settings)
     return solution.parameters[0], solution.reasons[0]

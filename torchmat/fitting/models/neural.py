@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import torch
@@ -10,12 +11,13 @@ from torch import Tensor
 
 from torchmat.errors import check_option, check_positive
 from torchmat.fitting.geometry import RECOVER
+from torchmat.fitting.objective import Objective, Residual, check_objective
 from torchmat.fitting.recipe import Recipe, Tiling
 from torchmat.fitting.training import Fitted, Training
 from torchmat.models.neural import Neural, angles, check_count, root_of_value, widths
 from torchmat.models.storage import STORAGES
 from torchmat.repeatable import one_thread, product, wide_product
-from torchmat.solvers import minibatch
+from torchmat.solvers import Minibatch, Problem
 
 _PAIRS = 8192  # texels x samples of one step
 _FEWEST_TEXELS, _MOST_GROUPS = 512, 128
@@ -25,7 +27,8 @@ _STEPS = 12000
 _VISITS = 200  # of each group at least
 _LEVEL_SAMPLES = 256
 _START = 0.5  # spread of the latent numbers
-_RATE, _LATENT_RATE = 1e-2, 4e-2
+_RATE, _LATENT = 1e-2, 4.0  # of the tables, and how many times faster latent numbers go
+ROOT = "root"
 
 
 class _Product(torch.autograd.Function):
@@ -46,21 +49,24 @@ class _Product(torch.autograd.Function):
 
 def fit_neural(
     training: Training, *, latent: int = 8, hidden: int = 32, layers: int = 2, effort: float = 1.0,
-    storage: str = "png8",
+    storage: str = "png8", solver: Minibatch = Minibatch(), objective: str | Residual = ROOT,
 ) -> Fitted:
     """Fit a latent texture and a network by Adam, on random texels under random samples.
 
     `latent` numbers a texel, `layers` hidden layers of `hidden` units; `effort` multiplies the number of steps. The
     error is that of the root of the value. Texels are dealt into groups once, and a step takes one group under some of
     the samples: a latent number moves only when its texel is looked at. Only some of the images are held in memory at
-    a time. With a limit of seconds the rate falls to its end within them.
+    a time. With a limit of seconds the rate falls to its end within them. `solver` may say `steps`, the `rate` (0.01;
+    latent numbers go four times as fast) and the `batch` of samples of a step. `objective` "root" is the error of the
+    root of the value, which the network gives; others are those of all fits.
     """
     where = "fit neural"
     check_option(where, "storage", storage, STORAGES)
     for name, count in (("latent", latent), ("hidden", hidden), ("layers", layers)):
         check_count(where, name, count)
     check_positive(where, "effort", effort)
-    return _Fit(training, latent, hidden, layers, effort, storage).run()
+    check_objective(where, objective, (ROOT,))
+    return _Fit(training, latent, hidden, layers, effort, storage, solver, objective).run()
 
 
 class _Pool(NamedTuple):
@@ -74,7 +80,10 @@ class _Pool(NamedTuple):
 class _Fit:
     """One fit in progress; texels are kept in the order in which they were dealt into groups."""
 
-    def __init__(self, training: Training, latent: int, hidden: int, layers: int, effort: float, storage: str) -> None:
+    def __init__(
+        self, training: Training, latent: int, hidden: int, layers: int, effort: float, storage: str, solver: Minibatch,
+        objective: str | Residual,
+    ) -> None:
         btf = training.btf
         self.training, self.storage = training, storage
         self.options = {"latent": latent, "hidden": hidden, "layers": layers}
@@ -83,13 +92,15 @@ class _Fit:
         self.order = torch.randperm(texels, generator=generator)
         size = min(texels, max(_FEWEST_TEXELS, math.ceil(texels / _MOST_GROUPS)))
         self.groups = [slice(first, min(first + size, texels)) for first in range(0, texels, size)]
-        self.batch = max(1, _PAIRS // size)
-        self.steps = max(1, round(effort * max(_STEPS, _VISITS * len(self.groups))))
+        self.batch = solver.batch or max(1, _PAIRS // size)
+        steps = max(1, round(effort * max(_STEPS, _VISITS * len(self.groups))))
+        self.solver = replace(solver.filled(steps=steps, rate=_RATE), batch=self.batch)
         counts = training.used if training.importance is None else training.used & (training.importance > 0)
         self.rows = counts.nonzero()[:, 0]
         known = angles(training.light[self.rows].to(training.dtype), training.view[self.rows].to(training.dtype))
         self.known = known[:, :, :, 0].movedim(1, 0).contiguous()  # [8, sample, 1]
         self.level = self._mean_value()
+        self.objective = None if objective == ROOT else Objective(objective, self.level)
         self._start(generator)
         self.pool: _Pool | None = None
         self.turn = 0
@@ -123,13 +134,14 @@ class _Fit:
 
     def run(self) -> Fitted:
         parameters = [*self.latents, *self.tables]
-        rates = [_LATENT_RATE] * len(self.latents) + [_RATE] * len(self.tables)
+        rates = [_LATENT] * len(self.latents) + [1.0] * len(self.tables)
         for value in parameters:
             value.requires_grad_()
-        found = minibatch(
-            parameters, self._error, self._draw, rates=rates, steps=self.steps, batch=self.batch,
-            seed=self.training.seed, watch=self.training.watch, made=self._material, show=self.training.progress,
-        )
+        training = self.training
+        found = self.solver.descend(Problem(
+            parameters, self._error, rates, self._draw, self.batch, training.seed, watch=training.watch, made=self._material,
+            show=training.progress,
+        ))
         for value in parameters:
             value.requires_grad_(False)
         figures = {"adam_steps": found.steps, "network_numbers": sum(table.numel() for table in self.tables)}
@@ -162,6 +174,8 @@ class _Fit:
         with torch.enable_grad():
             known = self.known[:, self.pool.rows[chosen]]
             root = root_of_value(self.latents[group], known, self.tables, _Product.apply)
+            if self.objective is not None:
+                return self._step_toward(root.movedim(0, 1), target, weight)
         gap = root.detach().movedim(0, 1) - target
         # Below 0 the value is 0 whatever the root: only a target above it pulls.
         gap = torch.where((gap < 0) & (target == 0), 0.0, gap)
@@ -169,6 +183,13 @@ class _Fit:
         root.backward((weighted * (2 / weighted.numel())).movedim(0, 1))
         with one_thread():
             return float((weighted * gap).mean())
+
+    def _step_toward(self, root: Tensor, target: Tensor, weight: Tensor) -> float:
+        """Return the error of roots [k, 3, texels] by an objective over values; leave its gradient."""
+        values, wanted = (one.clamp(min=0).square()[..., None] * self.level for one in (root, target))
+        loss = self.objective.squares(values, wanted, weight[..., None]).mean() / self.objective.unit
+        loss.backward()
+        return float(loss.detach())
 
     def _material(self) -> Neural:
         btf = self.training.btf
@@ -184,6 +205,6 @@ class _Fit:
 
 _REFUSED = ("has one network for all texels", "Leave tile_size, memory_mb and work out: it holds only some of the images and texels at a time.")
 NEURAL = Recipe(
-    Neural, fit_neural, solvers=("minibatch",), descends=False, quick={"effort": 0.1}, tiling=Tiling(refused=_REFUSED),
-    geometry=RECOVER,
+    Neural, fit_neural, solvers=("minibatch",), descends=False, objective=ROOT, quick={"effort": 0.1},
+    tiling=Tiling(refused=_REFUSED), geometry=RECOVER,
 )

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from torchmat.errors import FitError, RangeError, check_option, message
 from torchmat.fitting.models.linear import design_of
-from torchmat.fitting.models.lobe import LobeProblem, by_differences, fit_lobe, lobe_limits
+from torchmat.fitting.models.lobe import LobeProblem, by_differences, fit_lobe, limits_of, lobe_limits
 from torchmat.fitting.models.streamed import Moments, solve_texels, stream_means, stream_moments
 from torchmat.fitting.recipe import Recipe, Rung
 from torchmat.fitting.shared import Shared
@@ -20,6 +20,7 @@ from torchmat.models.lobes import LOBES, Lobe
 from torchmat.models.phong_srf import RESIDUALS
 from torchmat.models.storage import StoredAs
 from torchmat.repeatable import one_thread
+from torchmat.solvers import LevenbergMarquardt, VariableProjection
 from torchmat.solvers.least_squares import Design
 from torchmat.solvers.levenberg_marquardt import Solution, levenberg_marquardt
 from torchmat.solvers.stop_reasons import CLOSED_FORM, CONVERGED
@@ -31,7 +32,7 @@ _OUTLYING, _TRIMMED = 100.0, 50  # so many times brighter than the mean of all b
 
 def fit_phong_srf(
     training: Training, *, residual: str = "half", phong: str = "mean_brdf", base: str = "phong",
-    ridge: float = 1e-4, solver: str = "lm", storage: str = "half",
+    ridge: float = 1e-4, solver: LevenbergMarquardt = LevenbergMarquardt(), storage: str = "half",
 ) -> Fitted:
     """Fit the global lobe, then the residual maps.
 
@@ -43,8 +44,8 @@ def fit_phong_srf(
     brighter than the rest (an HDR highlight on dark cloth) are left out of the lobe, by a second pass over the images:
     it would be theirs, and no residual takes it off the other texels again.
 
-    `solver` "lm" (Levenberg-Marquardt) fits the lobe to the values themselves, as the paper does; "varpro" to what no
-    residual can follow (`_beside_residual`), which is the least error of lobe and residual together.
+    `solver` LevenbergMarquardt ("lm") fits the lobe to the values themselves, as the paper does; VariableProjection
+    ("varpro") to what no residual can follow (`_beside_residual`), which is the least error of lobe and residual together.
 
     `ridge` penalises large residual coefficients. Under one view `half_light` is nearly collinear: coefficients cancel
     each other, which 8-bit textures cannot hold and unseen views do not forgive. 1e-4 costs the flat sample under one
@@ -57,10 +58,10 @@ def fit_phong_srf(
     parameters, reason, figures = training.table("lobe"), CLOSED_FORM, {}
     if parameters is None:
         means, left_out = _common_means(training, moments)
-        parameters, reason, errors = _global_lobe(training, means, lobe, phong)
+        parameters, reason, errors = _global_lobe(training, means, lobe, phong, solver)
         figures = {"lobe_error_on_mean_brdf": errors, "texels_left_out_of_lobe": left_out}
-        if solver == "varpro":
-            parameters, reason = _beside_residual(training, means, design, lobe, parameters)
+        if isinstance(solver, VariableProjection):
+            parameters, reason = _beside_residual(training, means, design, lobe, parameters, solver)
     explained = lobe.evaluate(parameters, training.light.double(), training.view.double())[:, :, 0, 0]
     solved = solve_texels(training.btf, design, moments, training.used, explained)
     maps = {"lobe": parameters.to(training.dtype), "residual": solved.coefficients.flatten(0, 1)}
@@ -77,9 +78,11 @@ def _common_means(training: Training, moments: Moments) -> tuple[Tensor, int]:
     return stream_means(training.btf, training.used, common, training.dtype), int((~common).sum())
 
 
-def _global_lobe(training: Training, means: Tensor, lobe: Lobe, phong: str) -> tuple[Tensor, str, dict[str, float | None]]:
+def _global_lobe(
+    training: Training, means: Tensor, lobe: Lobe, phong: str, solver: LevenbergMarquardt
+) -> tuple[Tensor, str, dict[str, float | None]]:
     """Return the parameters of the lobe that all texels share, the stop reason, and the error by each way to find it."""
-    ways = _fit_lobe(training, means, lobe, phong)
+    ways = _fit_lobe(training, means, lobe, phong, solver)
     if phong not in ways:
         step = "Use phong='mean_brdf'."
         fact = f"no light has {_FEWEST_VIEWS} views among the fitted samples"
@@ -89,7 +92,7 @@ def _global_lobe(training: Training, means: Tensor, lobe: Lobe, phong: str) -> t
 
 
 def _beside_residual(
-    training: Training, means: Tensor, design: Design, lobe: Lobe, start: Tensor
+    training: Training, means: Tensor, design: Design, lobe: Lobe, start: Tensor, solver: LevenbergMarquardt
 ) -> tuple[Tensor, str]:
     """Return the lobe with which the residual leaves the least error: variable projection (Golub & Pereyra 1973).
 
@@ -119,7 +122,7 @@ def _beside_residual(
     low, high = lobe_limits(lobe, means)
     with one_thread():
         way_down = by_differences(residual) if lobe.jacobian is None else jacobian
-        solution = levenberg_marquardt(residual, start[None], low, high, jacobian=way_down)
+        solution = levenberg_marquardt(residual, start[None], low, high, jacobian=way_down, **limits_of(solver))
     return solution.parameters[0], solution.reasons[0]
 
 
@@ -145,20 +148,22 @@ def _relative_error(training: Training, means: Tensor, lobe: Lobe, parameters: T
     return relative(float((predicted - means[used]).square().sum()), float(means[used].square().sum()))
 
 
-def _fit_lobe(training: Training, means: Tensor, lobe: Lobe, phong: str) -> dict[str, tuple[Tensor, str]]:
+def _fit_lobe(
+    training: Training, means: Tensor, lobe: Lobe, phong: str, solver: LevenbergMarquardt
+) -> dict[str, tuple[Tensor, str]]:
     """Return (parameters, stop reason) for each way that the data allows; where samples count unlike, for `phong` alone."""
     used = training.used
     light, view, values = training.light[used].double(), training.view[used].double(), means[used]
     importance = None if training.importance is None else training.importance[used]
-    found = {"mean_brdf": fit_lobe(lobe, light, view, values, importance=importance)}
+    found = {"mean_brdf": fit_lobe(lobe, light, view, values, importance=importance, solver=solver)}
     if importance is not None and phong == "mean_brdf":
         return found
-    per_light = _per_light(lobe, training, light, view, values, found["mean_brdf"][0])
+    per_light = _per_light(lobe, training, light, view, values, found["mean_brdf"][0], solver)
     return found if per_light is None else found | {"per_light": per_light}
 
 
 def _per_light(
-    lobe: Lobe, training: Training, light: Tensor, view: Tensor, values: Tensor, start: Tensor
+    lobe: Lobe, training: Training, light: Tensor, view: Tensor, values: Tensor, start: Tensor, solver: LevenbergMarquardt
 ) -> tuple[Tensor, str] | None:
     groups = training.btf.light_index[training.used]
     rows = [(groups == number).nonzero()[:, 0] for number in groups.unique()]
@@ -170,7 +175,7 @@ def _per_light(
     index = torch.stack([torch.cat((part, part[:1].expand(longest - len(part)))) for part in rows])
     weight = torch.stack([(torch.arange(longest) < len(part)).double() for part in rows])[:, :, None]
     problem = LobeProblem(lobe, light[index], view[index], values[index], weight)
-    solution = problem.solve(start[None].repeat(len(rows), 1), max_steps=40, tolerance=1e-6)
+    solution = problem.solve(start[None].repeat(len(rows), 1), **limits_of(solver, steps=40, tolerance=1e-6))
     return _average(lobe, solution.parameters), _overall(solution)
 
 

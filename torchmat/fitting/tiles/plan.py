@@ -13,7 +13,6 @@ from torchmat.btf import Btf
 from torchmat.errors import FitError, RangeError, message
 from torchmat.fitting.fewer_texels import averaged
 from torchmat.fitting.geometry import Flat, Geometry, Given, check_height
-from torchmat.fitting.models.any_model import DESCENTS
 from torchmat.fitting.on_relief import compare_with_flat, fit_flat, fit_on_relief, not_recovered
 from torchmat.fitting.recipe import recipe_of
 from torchmat.fitting.relief.recover import recover_relief
@@ -24,6 +23,7 @@ from torchmat.fitting.shared import Shared
 from torchmat.fitting.training import Fitted, Training
 from torchmat.geometry import Relief
 from torchmat.models import Material
+from torchmat.solvers import Stepping
 from torchmat.solvers.clock import Watch
 
 # What all texels share is found on every so-manieth row and column. Odd steps meet every part of a
@@ -104,9 +104,10 @@ def plan_tiles(
         fact, step = recipe.tiling.refused
         raise RangeError(message("fit", "tiles", "suit the model", f"{model} {fact}", step))
     usual = recipe.all_solvers[0]
-    if options.get("solver") in DESCENTS and options["solver"] != usual:
+    solver = recipe.solver_of(options)
+    if isinstance(solver, Stepping) and solver.name != usual:
         step = f"Leave it out: tiles take {usual}."
-        fact = f"it is {options['solver']!r}, which fits what all texels share along with them"
+        fact = f"it is {solver.name!r}, which fits what all texels share along with them"
         raise RangeError(message("fit", "solver", "suit tiles", fact, step))
     btf = training.btf
     own = replace(training, watch=Watch(training.watch.limit * _PLANNING))

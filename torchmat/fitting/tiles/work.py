@@ -18,6 +18,7 @@ from torch import Tensor
 from torchmat.atomic import building_file, refuse_foreign
 from torchmat.errors import DataError, message
 from torchmat.fitting.geometry import Geometry, Given
+from torchmat.fitting.objective import described
 from torchmat.fitting.recipe import recipe_of
 from torchmat.fitting.relief.window import Window
 from torchmat.fitting.tiles.plan import TilePart, TilePlan
@@ -107,7 +108,8 @@ def fit_key(
     digest = hashlib.sha256()
     found = versions()
     told = [
-        _FORMAT, {name: found[name] for name in ("torchmat", "torch")}, model, sorted(options.items()), tile_size, memory_mb,
+        _FORMAT, {name: found[name] for name in ("torchmat", "torch")}, model, sorted(described(options).items()), tile_size,
+        memory_mb,
         training.seed, training.tiles, str(training.dtype), geometry.word,
         training.btf.identity(),
     ]
@@ -149,7 +151,7 @@ def _pieces_of(plan: TilePlan) -> tuple[dict[str, Any], dict[str, Tensor]]:
         if value is not None:
             tensors[f"relief.{name}"] = value
     header = {
-        "model": plan.model, "options": plan.options, "side": plan.side, "size": list(plan.size), "reason": plan.reason,
+        "model": plan.model, "options": described(plan.options), "side": plan.side, "size": list(plan.size), "reason": plan.reason,
         "figures": plan.figures, "numbers": numbers, "shared_from": plan.shared_from,
         "template": {"options": template.options, "storage": template.storage, "tiles": template.tiles},
     }

@@ -16,29 +16,26 @@ from torch import Tensor
 
 from torchmat.fitting.models.distribution.options import DistributionOptions
 from torchmat.fitting.models.distribution.parameters import (
-    BLOCK_VALUES, DistributionShared, Parts, group_texels, maps_of, raw_maps, to_one,
+    BLOCK_VALUES, DistributionShared, Parts, group_texels, maps_of, rates_of, raw_maps, to_one,
 )
-from torchmat.fitting.models.distribution.start import find_starts, mean_value
+from torchmat.fitting.models.distribution.start import find_starts
+from torchmat.fitting.objective import DISPLAY, DISPLAY_POWER, Objective, Residual, mean_value, power, shown
 from torchmat.fitting.relief.refine import refine_height
 from torchmat.fitting.relief.surface import Surface, bring_onto
 from torchmat.fitting.training import Fitted, Training
 from torchmat.geometry import normals_from_slopes
 from torchmat.models import Distribution
 from torchmat.progress import progress
-from torchmat.solvers import Descent, adam, lbfgs, minibatch
+from torchmat.solvers import LBFGS, Adam, Descent, Minibatch, Problem, Stepping
 from torchmat.solvers.clock import Watch
 from torchmat.solvers.multiplicative import sweep
 from torchmat.solvers.stop_reasons import DIVERGED, NOT_FINITE
 
-_DISPLAY = 1 / 2.2
-_DARKEST = 0.01  # of the mean value: differences below that no display shows
 _BATCH_VALUES, _FEWEST_IMAGES = 49152, 4  # texels x images of one step
 _LEAST_GRADIENT = 1e-8 * 4096  # of a texel; the loss is a mean, so all gradients shrink with the number of texels
 _RATE = 0.06
-# Relative to that: slopes are small numbers; tables and indices see many samples a step and can move faster.
-_RATES = {"slopes": 0.3, "specular": 2.0, "index": 2.0}
 _ROUNDS = (600, 500, 900)  # steps before, between and after the moves of the height
-_FEWER = {"adam": 4, "lbfgs": 10}  # steps on all samples at once do so many times as much
+_FEWER = {Adam: 4, LBFGS: 10}  # steps on all samples at once do so many times as much
 # Passes of the multiplicative start, and images of each. Only a hurried fit begins so: a whole one gets there by Adam, and
 # ends up to 0.3 dB better. With fewer values for each entry of a specular map the passes learn their noise.
 _SWEEPS, _SWEPT, _HURRIED, _FEWEST_VALUES = 6, 256, 0.75, 400
@@ -51,19 +48,20 @@ _PILOTS_SHARE = 0.08  # of a limit of seconds, for each pilot
 def fit_distribution(
     training: Training, *, lobes: int | Literal["auto"] = "auto", fresnel: bool | Literal["auto"] = "auto",
     rotation: bool | Literal["auto"] = "auto", tilt: bool | Literal["auto"] = False, normal: bool = True,
-    specular_mask: bool = True, specular_size: int = 48, effort: float = 1.0, solver: str = "minibatch",
-    storage: str = "png8",
+    specular_mask: bool = True, specular_size: int = 48, effort: float = 1.0, solver: Stepping = Minibatch(),
+    storage: str = "png8", objective: str | Residual = DISPLAY,
 ) -> Fitted:
     """Fit the distribution material to a flat surface.
 
     `lobes` is the number K of specular maps, "auto" lets the data choose 1 to 3; 0 leaves them out with all that belongs
     to them. `fresnel`, `rotation` and `tilt` are true, false or "auto": a part is kept if a short pilot run on part of
     the samples gains 0.08 dB by it on the rest. `normal` and `specular_mask` false save those maps.
-    `specular_size` is the side of the specular maps, `effort` multiplies the number of steps, and `solver` is "minibatch"
-    (Adam on random images), or "adam" or "lbfgs" on all at once.
+    `specular_size` is the side of the specular maps, `effort` multiplies the number of steps, and `solver` is Minibatch
+    (Adam on random images), or Adam or LBFGS on all at once; its own `steps`, those of the fit in all, count instead.
+    `objective` is what all of them make small.
     """
     given = DistributionOptions(
-        lobes, fresnel, rotation, tilt, normal, specular_mask, specular_size, effort, solver, storage
+        lobes, fresnel, rotation, tilt, normal, specular_mask, specular_size, effort, solver, storage, objective,
     )
     flat = torch.zeros(1, training.btf.height, training.btf.width, dtype=training.dtype)
     return _Fit(bring_onto(training, flat), None, given).run()
@@ -72,15 +70,6 @@ def fit_distribution(
 def fit_distribution_on_relief(surface: Surface, height: Tensor, **options: Any) -> Fitted:
     """Fit the distribution material over a relief, and refine its height along the way."""
     return _Fit(surface, height, DistributionOptions(**options)).run()
-
-
-def _power(base: Tensor, exponent: float) -> Tensor:
-    # torch's own power rounds otherwise in what remains of a thread's share; exp and log do not.
-    return (base.log() * exponent).exp()
-
-
-def _shown(values: Tensor, darkest: float) -> Tensor:
-    return _power(values.clamp(min=0) + darkest, _DISPLAY)
 
 
 @dataclass
@@ -96,7 +85,8 @@ class _Fit:
 
     def run(self) -> Fitted:
         training = self.surface.training
-        self.level = mean_value(self.surface) if training.shared is None else training.shared.level
+        self.level = mean_value(training) if training.shared is None else training.shared.level
+        self.objective = Objective(self.options.objective, self.level)
         starts = find_starts(self.surface, self.level)
         parts, pilots = self._choose(starts)
         raw = self._begin(starts, parts)
@@ -114,16 +104,27 @@ class _Fit:
             if number > 0 and not watch.spent:
                 self._move_height(raw, parts)
             now, share = watch.seconds, steps / sum(rounds[number:])
-            rate = _RATE if number == 0 else _RATE * 2 / 3
             samples = torch.arange(len(self.surface.training.btf))
             until = now + (watch.limit - now) * share
-            steps = max(1, round(steps * self.options.effort))
-            found = self._solve(raw, parts, self.options.solver, steps, rate, samples, until, watch)
+            found = self._solve(raw, parts, self._solver(steps, sum(rounds), number > 0), samples, until, watch)
             taken += found.steps
             self.history += found.history
             if found.reason in (NOT_FINITE, DIVERGED) or watch.spent:
                 break
         return replace(found, steps=taken)
+
+    @property
+    def _rate(self) -> float:
+        return getattr(self.options.solver, "rate", None) or _RATE
+
+    def _solver(self, steps: int, every: int, again: bool) -> Stepping:
+        """Return the solver of a round of so many of `every` step, slower where it goes on from an earlier one."""
+        asked = self.options.solver
+        own = max(1, round(steps * self.options.effort)) // _FEWER.get(type(asked), 1)
+        wanted = {"steps": max(1, own if asked.steps is None else round(asked.steps * steps / every))}
+        if hasattr(asked, "rate"):
+            wanted["rate"] = self._rate * 2 / 3 if again else self._rate
+        return replace(asked, **wanted)
 
     def _begin(self, starts: dict[str, Tensor], parts: Parts) -> dict[str, Tensor]:
         """Return the parameters at the start, in a hurried fit with what only adds light as bright as the data."""
@@ -155,7 +156,7 @@ class _Fit:
         def observed(batch: Tensor) -> tuple[Tensor, Tensor]:
             values, valid = self.surface.values(batch)
             # The slope of the display root, squared: a step in the dark counts as much as one in the light.
-            return values, valid * _power(values.clamp(min=0) + self.darkest, 2 * (_DISPLAY - 1))
+            return values, valid * power(values.clamp(min=0) + self.objective.darkest, 2 * (DISPLAY_POWER - 1))
 
         for number in range(_SWEEPS):
             last = number == _SWEEPS - 1 and "specular_mask" in raw
@@ -177,11 +178,6 @@ class _Fit:
             return training.shared
         groups = None if parts.lobes < 2 else group_texels(starts["features"], parts.lobes, training.seed)
         return DistributionShared(level=self.level, log_specular=raw.get("specular"), logit_tilt=raw.get("tilt"), groups=groups)
-
-    @property
-    def darkest(self) -> float:
-        """The value added before the root."""
-        return _DARKEST * self.level
 
     def _choose(self, starts: dict[str, Tensor]) -> tuple[Parts, list[dict[str, Any]]]:
         """Climb from one lobe alone: keep what pays in pilot runs."""
@@ -220,12 +216,12 @@ class _Fit:
         # No pilot is noted: the curve is that of the fit.
         until = training.watch.seconds + training.watch.limit * _PILOTS_SHARE
         steps = max(1, round(_PILOT * min(1, self.options.effort)))
-        self._solve(raw, parts, "minibatch", steps, _RATE, order[len(back):], until, None)
+        self._solve(raw, parts, Minibatch(steps, self._rate), order[len(back):], until, None)
         error, count = torch.zeros(btf.height, btf.width, dtype=torch.float64), 0.0
         for rows in back[:200].split(max(1, BLOCK_VALUES // (3 * btf.height * btf.width))):
             values, valid = self.surface.values(rows)
             predicted = self._predict(raw, parts, self.surface, rows)
-            gap = _shown(predicted / self._white, 0).clamp(max=1) - _shown(values / self._white, 0).clamp(max=1)
+            gap = shown(predicted / self._white, 0).clamp(max=1) - shown(values / self._white, 0).clamp(max=1)
             error += (gap.square() * valid).sum(dim=(0, 1)).double()
             count += float(valid.sum()) * 3
         return -10 * math.log10(max(float(error.sum()) / max(count, 1), 1e-12))
@@ -255,20 +251,19 @@ class _Fit:
         return self.templates[key].sharing(maps)
 
     def _solve(
-        self, raw: dict[str, Tensor], parts: Parts, solver: str, steps: int, rate: float, samples: Tensor, until: float,
-        watch: Watch | None,
+        self, raw: dict[str, Tensor], parts: Parts, solver: Stepping, samples: Tensor, until: float, watch: Watch | None
     ) -> Descent:
         """Change `raw` by `solver`, all texels and maps at once, on some `samples`; only what has a `watch` is noted."""
         surface, training = self.surface, self.surface.training
-        size = self.level ** (2 * _DISPLAY)
 
         def objective(rows: Tensor | None) -> float:
             total, every = 0.0, samples if rows is None else rows
             for batch in every.split(self._images):
                 values, valid = surface.values(batch)
                 with torch.enable_grad():
-                    gap = _shown(self._predict(raw, parts, surface, batch), self.darkest) - _shown(values, self.darkest)
-                    loss = (gap.square() * valid).mean() * (len(batch) / len(every) / size)
+                    squares = self.objective.squares(self._predict(raw, parts, surface, batch), values, valid)
+                    share = squares.numel() / values.numel() * len(batch) / len(every)
+                    loss = squares.mean() * (share / self.objective.unit)
                 total += float(loss.detach())
                 if not math.isfinite(total):  # look-ups in places that are none may end the process
                     return total
@@ -276,19 +271,13 @@ class _Fit:
             return total
 
         parameters = [value.requires_grad_() for value in raw.values()]
-        rates = [rate * _RATES.get(name, 1.0) for name in raw]
-        settings = {"watch": watch or training.watch, "made": watch and (lambda: self._material(raw, parts))}
-        settings |= {"until": until, "show": training.progress if watch else False}
-        if solver == "minibatch":
-            texels = training.btf.height * training.btf.width
-            found = minibatch(
-                parameters, objective, lambda generator: training.drawn(samples, generator), rates=rates, steps=steps,
-                batch=self._images, seed=training.seed, eps=_LEAST_GRADIENT / texels if training.shared is not None else 1e-8, **settings,
-            )
-        elif solver == "adam":
-            found = adam(parameters, objective, rates=rates, steps=max(1, steps // _FEWER["adam"]), **settings)
-        else:
-            found = lbfgs(parameters, objective, steps=max(1, steps // _FEWER["lbfgs"]), **settings)
+        texels = training.btf.height * training.btf.width
+        least = 1e-8 if training.shared is None else _LEAST_GRADIENT / texels
+        found = solver.descend(Problem(
+            parameters, objective, rates_of(raw), lambda generator: training.drawn(samples, generator), self._images,
+            training.seed, least, until, watch or training.watch, watch and (lambda: self._material(raw, parts)),
+            training.progress if watch else False,
+        ))
         for value in parameters:
             value.requires_grad_(False).grad = None
         return found
@@ -297,9 +286,9 @@ class _Fit:
         surface, texels = self.surface, torch.arange(len(self.surface.training.btf))
 
         def steepness(values: Tensor) -> Tensor:
-            return _power(values.clamp(min=0) + self.darkest, _DISPLAY - 1) * (_DISPLAY * self._white**-_DISPLAY)
+            return power(values.clamp(min=0) + self.objective.darkest, DISPLAY_POWER - 1) * (DISPLAY_POWER * self._white**-DISPLAY_POWER)
 
-        slopes = raw.get("slopes", surface.slopes)
+        slopes = raw.get("normal", surface.slopes)
         self.height = refine_height(
             surface, self.height, slopes, lambda run: self._predict(raw, parts, surface, texels[run]), steepness
         )
@@ -313,7 +302,7 @@ class _Fit:
         if self.height is not None:
             maps |= {"height": self.height, "ambient": ambient}
             if parts.normal:
-                maps["normal"] = normals_from_slopes(raw["slopes"] - self.surface.slopes)
+                maps["normal"] = normals_from_slopes(raw["normal"] - self.surface.slopes)
         return Distribution(
             {name: value.detach() for name, value in maps.items()}, lobes=parts.lobes, parts=parts.names,
             storage=self.options.storage, tiles=self.surface.training.tiles,

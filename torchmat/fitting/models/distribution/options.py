@@ -6,9 +6,10 @@ from dataclasses import dataclass
 from typing import Literal
 
 from torchmat.errors import RangeError, check_option, check_positive, message
+from torchmat.fitting.objective import DISPLAY, Residual, check_objective
 from torchmat.models.storage import STORAGES
+from torchmat.solvers import Minibatch, Stepping
 
-DISTRIBUTION_SOLVERS = ("minibatch", "adam", "lbfgs")
 MOST_LOBES = 12
 _WHERE = "fit distribution"
 
@@ -25,11 +26,12 @@ class DistributionOptions:
     specular_mask: bool = True
     specular_size: int = 48
     effort: float = 1.0
-    solver: str = "minibatch"
+    solver: Stepping = Minibatch()
     storage: str = "png8"
+    objective: str | Residual = DISPLAY
 
     def __post_init__(self) -> None:
-        check_option(_WHERE, "solver", self.solver, DISTRIBUTION_SOLVERS)
+        check_objective(_WHERE, self.objective)
         check_option(_WHERE, "storage", self.storage, STORAGES)
         if self.lobes != "auto" and not 0 <= self.lobes <= MOST_LOBES:
             raise RangeError(message(_WHERE, "lobes", f"lie in 0 to {MOST_LOBES}, or be 'auto'", f"it is {self.lobes!r}"))

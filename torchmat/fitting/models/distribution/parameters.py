@@ -11,17 +11,19 @@ from torch import Tensor
 
 from torchmat import colour, safe
 from torchmat.btf import Btf
+from torchmat.fitting.objective import OUTSTANDING
 from torchmat.fitting.relief.surface import Surface
 from torchmat.fitting.shared import Shared
 from torchmat.fitting.training import Training
 from torchmat.frames import half_vector, tangent_frame
 from torchmat.geometry import normals_from_slopes
-from torchmat.models.distribution import default_tilt
+from torchmat.models.distribution import DISTRIBUTION_PARTS, default_tilt, distribution_specs
+from torchmat.models.relief_maps import AMBIENT
+from torchmat.models.unbounded import map_of, relative_rate
 from torchmat.repeatable import one_thread
 
 BLOCK_VALUES = 2_000_000
 _LEVEL = 1e-3  # of the tilt at 0 and 90 degrees, which a logit does not reach
-OUTSTANDING = 10  # times the usual texel: brighter ones count as that bright where one number stands for all
 
 
 @dataclass(frozen=True)
@@ -86,7 +88,7 @@ def raw_maps(starts: dict[str, Tensor], parts: Parts, size: int, training: Train
     raw = {
         "diffuse": mean.log(),
         "ambient": (0.05 * mean).log(),
-        "slopes": starts["slopes"].clone(),
+        "normal": starts["slopes"].clone(),
         "specular": (math.log(0.1 * brightness) + 0.01 * noise - 4 * distance).contiguous(),
         "specular_mask": torch.zeros_like(mean[:1]),
         "fresnel": torch.full_like(mean[:1], -2.0),
@@ -94,7 +96,7 @@ def raw_maps(starts: dict[str, Tensor], parts: Parts, size: int, training: Train
         "tilt": torch.logit(default_tilt(dtype).clamp(_LEVEL, 1 - _LEVEL)),
     }
     there = {"diffuse", "ambient", *parts.names} | ({"specular"} if parts.lobes else set())
-    raw = {name: value for name, value in raw.items() if name in there or (name == "slopes" and parts.normal)}
+    raw = {name: value for name, value in raw.items() if name in there}
     if parts.lobes > 1:
         groups = None if training.shared is None else training.shared.groups
         if groups is None:
@@ -141,29 +143,17 @@ def _start_index(features: Tensor, lobes: int, groups: Tensor) -> Tensor:
     return (2 * chosen - 1).contiguous()
 
 
-def _weights(logits: Tensor) -> Tensor:
-    weight = (logits - logits.detach().amax(dim=0)).exp()
-    return weight / weight.sum(dim=0)
-
-
-def _share(logit: Tensor) -> Tensor:
-    return 1 / (1 + (-logit).exp())
-
-
-# How a parameter becomes a map; the others are logarithms. torch's softmax and sigmoid round otherwise in what remains of a
-# thread's share, as its power does; exp does not.
-_WAYS = {
-    "index": _weights,
-    "fresnel": _share,
-    "tilt": _share,
-    "rotation": lambda angle: torch.cat((torch.cos(angle), torch.sin(angle))),
-}
+_SPECS = {spec.name: spec for spec in (*distribution_specs(2, DISTRIBUTION_PARTS), AMBIENT)}
 
 
 def maps_of(raw: dict[str, Tensor]) -> dict[str, Tensor]:
-    """Return the maps on the surface that parameters stand for: `slopes` are its whole `normal`, height's and all."""
-    found = {name: _WAYS.get(name, torch.exp)(value) for name, value in raw.items() if name != "slopes"}
-    return found | ({"normal": normals_from_slopes(raw["slopes"])} if "slopes" in raw else {})
+    """Return the maps on the surface that parameters stand for: the `normal` is the whole one, height's and all."""
+    return {name: map_of(_SPECS[name], value) for name, value in raw.items()}
+
+
+def rates_of(raw: dict[str, Tensor]) -> list[float]:
+    """Return how fast each parameter may go, relative to the others."""
+    return [relative_rate(_SPECS[name]) for name in raw]
 
 
 def anisotropy(surface: Surface, mean: Tensor, slopes: Tensor) -> dict[str, Tensor]:

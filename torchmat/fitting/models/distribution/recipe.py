@@ -6,8 +6,8 @@ from typing import Any
 
 from torchmat.fitting.geometry import RECOVER
 from torchmat.fitting.models.distribution.fit import fit_distribution, fit_distribution_on_relief
-from torchmat.fitting.models.distribution.options import DISTRIBUTION_SOLVERS
 from torchmat.fitting.models.distribution.parameters import DistributionShared, to_one
+from torchmat.fitting.objective import DISPLAY
 from torchmat.fitting.recipe import Ladder, Part, Recipe, Tiling
 from torchmat.fitting.training import Fitted
 from torchmat.models import Distribution
@@ -39,7 +39,8 @@ _LADDER = Ladder(
     bytes=4, bytes_of_lobe=_bytes_of_lobe, without_idle_parts=without_idle_parts,
 )
 DISTRIBUTION = Recipe(
-    Distribution, fit_distribution, solvers=DISTRIBUTION_SOLVERS, solvers_differ=True, ladder=_LADDER, on_relief=fit_distribution_on_relief,
+    Distribution, fit_distribution, solvers=("minibatch", "adam", "lbfgs"), solvers_differ=True, objective=DISPLAY,
+    ladder=_LADDER, on_relief=fit_distribution_on_relief,
     # What a relief is worth shows long before the last step.
     quick={"lobes": 1, "fresnel": True, "rotation": True, "effort": 0.15},
     shared=DistributionShared, geometry=RECOVER,

@@ -5,23 +5,10 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from torchmat.fitting.models.distribution.parameters import OUTSTANDING, anisotropy, sample_runs
+from torchmat.fitting.models.distribution.parameters import anisotropy, sample_runs
 from torchmat.fitting.relief.surface import Surface
 from torchmat.geometry import photometric_stereo, slopes_from_normals
 from torchmat.repeatable import one_thread
-
-
-def mean_value(surface: Surface) -> float:
-    """Return the mean of the training samples: the unit of the fit."""
-    btf = surface.training.btf
-    total = torch.zeros(btf.height, btf.width, dtype=torch.float64)
-    for block in btf.blocks(None, surface.training.dtype):
-        total += block.images.mean(dim=1, dtype=torch.float64).sum(dim=0)
-    each = total / max(len(btf), 1)
-    usual = each[each > 0].median() if bool((each > 0).any()) else each.max()
-    with one_thread():
-        # One texel a million times as bright as the cloth must not decide what is dark.
-        return max(float(each.clamp(max=OUTSTANDING * usual).mean()), 1e-12)
 
 
 def find_starts(surface: Surface, level: float) -> dict[str, Tensor]:
