@@ -135,6 +135,14 @@ def test_rotation_is_kept_where_it_pays(kind, kept, monkeypatch):
     assert set(result.report["figures"]["parts"]) == set(result.material.options["parts"])
 
 
+@pytest.mark.parametrize(("gain", "kept"), [(-1.0, False), (0.07, False), (0.09, True), (0.5, True)])
+def test_a_part_is_kept_from_0_08_db_on(gain, kept, monkeypatch):
+    monkeypatch.setattr(fitting, "_ROUNDS", (1, 1, 1))
+    monkeypatch.setattr(fitting._Fit, "_pilot", lambda self, starts, parts: 20 + gain * ("fresnel" in parts.names))
+    result = tm.fit(btf_of(scene("isotropic")[1]), "distribution", measure=False, **{**ONE_LOBE, "fresnel": "auto"})
+    assert ("fresnel" in result.material.options["parts"]) is kept
+
+
 def test_lobes_are_chosen_by_the_data():
     result = tm.fit(btf_of(noisy("isotropic")), "distribution", geometry="flat", measure=False, **{**ONE_LOBE, "lobes": "auto", "effort": 0.1})
     assert 1 <= result.material.options["lobes"] <= 3
