@@ -15,6 +15,8 @@ from tests.support import assert_close
 
 import torchmat as tm
 from torchmat import Btf, FitConfig, FitError, RangeError, load_config
+from torchmat.btf.decode import Decoder
+from torchmat.btf.store import CLIPPED, INVALID, summarise
 from torchmat.fitting import evaluate
 from torchmat.fitting.choice import choose, climb
 from torchmat.fitting.choice.candidate import Option
@@ -309,14 +311,17 @@ def test_the_examiner_measures_what_an_evaluation_does(size):
 
 def test_the_examiner_sees_parallax_clipping_and_invalid_samples():
     scene = relief_scene()
-    weight = np.ones((len(scene.light), 24, 24))
-    weight[::3, :7] = 0
-    btf = scene.btf(weight=weight)
+    images, flags = 4 * scene.images.astype(np.float32), np.zeros((len(scene.light), 24, 24), np.uint8)
+    flags[(images >= 1).any(axis=1)] = CLIPPED
+    flags[::3, :7] = INVALID
+    light, view = (torch.from_numpy(rows).float() for rows in (scene.light, scene.view))
+    btf = Btf(summarise(images.clip(max=1), flags), light, view, Decoder(images.dtype, "linear", 1.0))
     training = make_training(btf, torch.arange(len(btf)), 0, True, torch.float32, False)
     rows = keep_back(training)
     examiner = Examiner(training, rows)
     for height in (scene.true_height.float(), scene.true_height.float() / 2, scene.true_height.float()):
-        material = tm.fit(btf, "texture", holdout=0, measure=False, geometry=height).material
+        fitted = tm.fit(btf, "texture", holdout=0, measure=False, geometry=height).material
+        material = fitted.with_maps(albedo=1.3 * fitted.maps["albedo"].detach())  # above what is clipped
         wanted = evaluate(material.as_exported(), btf, rows).report
         found = examiner.measure(material)
         assert found.psnr_db == pytest.approx(wanted["psnr_db"], abs=1e-4)
