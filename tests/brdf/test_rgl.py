@@ -123,10 +123,26 @@ def test_gradcheck(tmp_path, kind):
     assert torch.autograd.gradcheck(brdf.shade, (light, view))
 
 
+# Where half vector and view have an azimuth that rounding does not change, and those where float64 still tells it.
+SETTLED = ("light_is_view", "light_at_normal_view_at_horizon", "both_at_horizon_same_side", "both_at_horizon_across")
+IN_FLOAT64 = (*SETTLED, "mirror_pair", "both_at_horizon_opposite")
+
+
 @every_kind
-@pytest.mark.parametrize("pair", HARD_PAIRS)
-def test_case_1_value_and_gradient_are_finite(tmp_path, kind, pair, dtype):
-    shade_and_differentiate(load(tmp_path, dtype, **KINDS[kind]), *HARD_PAIRS[pair], dtype)
+def test_case_1_values_at_hard_directions_match_integrals_or_the_bounds_of_the_table_and_gradients_are_finite(tmp_path, kind, dtype):
+    brdf, fields = load(tmp_path, dtype, **KINDS[kind]), rgl_fields(**KINDS[kind])
+    rgb, facets = fields["rgb"], fields["ndf"] if fields["jacobian"][0] else np.array(4.0)
+    shadowing = fields["sigma"] if fields["jacobian"][0] else np.array(1.0)
+    settled = SETTLED if dtype == torch.float32 else IN_FLOAT64
+    for pair, directions in HARD_PAIRS.items():
+        found = shade_and_differentiate(brdf, *directions, dtype)[:, 0, 0].double().numpy()
+        if pair in settled:
+            # At mirrored directions the oracle's acos has half of its digits.
+            bound = 2e-5 if dtype == torch.float32 else 1e-9 if pair in SETTLED else 1e-5
+            np.testing.assert_allclose(found, rgl(fields, *directions), rtol=bound, err_msg=pair)
+        else:  # the azimuth is open: any of the table's entries may count, and nothing beyond them
+            low, high = (math.pi * getattr(rgb, end)() * getattr(facets, end)() / 4 for end in ("min", "max"))
+            assert (found >= 0.999 * low / shadowing.max()).all() and (found <= 1.001 * high / shadowing.min()).all(), pair
 
 
 @every_kind

@@ -134,6 +134,14 @@ def test_rotation_is_kept_where_it_pays(kind, kept):
     assert set(result.report["figures"]["parts"]) == set(result.material.options["parts"])
 
 
+@pytest.mark.parametrize(("gain", "kept"), [(-1.0, False), (0.07, False), (0.09, True), (0.5, True)])
+def test_a_part_is_kept_from_0_08_db_on(gain, kept, monkeypatch):
+    monkeypatch.setattr(fitting, "_ROUNDS", (1, 1, 1))
+    monkeypatch.setattr(fitting._Fit, "_pilot", lambda self, starts, parts: 20 + gain * ("fresnel" in parts.names))
+    result = tm.fit(btf_of(scene("isotropic")[1]), "distribution", measure=False, **{**ONE_LOBE, "fresnel": "auto"})
+    assert ("fresnel" in result.material.options["parts"]) is kept
+
+
 def test_lobes_are_chosen_by_the_data():
     result = tm.fit(btf_of(noisy("isotropic")), "distribution", geometry="flat", measure=False, **{**ONE_LOBE, "lobes": "auto", "effort": 0.1})
     assert 1 <= result.material.options["lobes"] <= 3
@@ -296,22 +304,37 @@ def test_9_what_nothing_pulls_at_stays_finite_however_long():
     assert all(bool(torch.isfinite(value).all()) for value in material.maps.values())
 
 
-def _material_of(mask: torch.Tensor) -> tm.Material:
-    """Return the material that the fit would make of a start with this logarithm of the mask."""
+def _begun(size: int) -> tuple[fitting._Fit, fitting.Parts, dict[str, torch.Tensor]]:
+    """Return a fit of a few texels that has not taken a step yet, its parts and its parameters."""
     from torchmat.fitting.models.distribution.options import DistributionOptions
     from torchmat.fitting.models.distribution.start import find_starts
     from torchmat.fitting.objective import mean_value
     from torchmat.fitting.relief.surface import bring_onto
     from torchmat.fitting.training import make_training
 
-    btf = btf_of(scene("isotropic")[1][:, :, :2, :2])
+    btf = btf_of(scene("isotropic")[1][:, :, :size, :size])
     training = make_training(btf, torch.arange(len(btf)), 0, True, torch.float32, False)
-    options = DistributionOptions(lobes=1, fresnel=False, rotation=False, specular_size=8, storage="float")
-    state = fitting._Fit(bring_onto(training, torch.zeros(1, 2, 2)), None, options)
+    options = DistributionOptions(**{**ONE_LOBE, "specular_size": 8})
+    state = fitting._Fit(bring_onto(training, torch.zeros(1, size, size)), None, options)
     state.level = mean_value(training)
     parts = fitting.Parts(1, False, False)
-    raw = fitting.raw_maps(find_starts(state.surface, state.level), parts, 8, training)
+    return state, parts, fitting.raw_maps(find_starts(state.surface, state.level), parts, 8, training)
+
+
+def _material_of(mask: torch.Tensor) -> tm.Material:
+    """Return the material that the fit would make of a start with this logarithm of the mask."""
+    state, parts, raw = _begun(2)
     return state._material({**raw, "specular_mask": mask}, parts)
+
+
+def test_a_step_goes_a_third_as_far_in_slopes_and_twice_as_far_in_tables():
+    state, parts, raw = _begun(4)
+    before = {name: value.clone() for name, value in raw.items()}
+    state._solve(raw, parts, "minibatch", 1, 0.06, torch.arange(81), math.inf, None)
+    longest = {name: float((value - before[name]).abs().max()) for name, value in raw.items()}
+    # Adam's first step is its rate wherever there is a gradient, and a run begins with a twentieth of it.
+    expected = {"slopes": 0.0009, "diffuse": 0.003, "specular_mask": 0.003, "specular": 0.006}
+    assert {name: longest[name] for name in expected} == pytest.approx(expected, rel=1e-3)
 
 
 def test_8_a_dark_texel_is_not_lost_to_a_highlight():

@@ -12,6 +12,8 @@ from tests.support import all_pairs, assert_close, hemisphere, plausible_images
 
 import torchmat as tm
 from torchmat import Btf, FitConfig, FitError, RangeError
+from torchmat.btf.decode import Decoder
+from torchmat.btf.store import CLIPPED, summarise
 from torchmat.fitting import RECIPES, evaluate, predict
 
 REPORT_KEYS = {
@@ -194,6 +196,20 @@ def test_the_figures_are_those_of_the_definitions(btf):
     after = ((exported - target) ** 2).mean()
     assert abs(result.report["held_out_after_export"]["mse"] / after - 1) < 1e-5
     assert len(result.held_out_errors) == len(rows)
+
+
+def test_what_is_brighter_than_a_clipped_target_is_no_error_and_what_is_darker_is_one():
+    """Six texels under a light at the normal, shown 0.5 or at the sensor's white of 1; red alone is clipped in the last."""
+    shown = np.array([[0.5, 1, 1, 1, 1, 1], [0.5, 1, 1, 1, 1, 0.5], [0.5, 1, 1, 1, 1, 0.5]], np.float32)[None, :, None]
+    flags = np.array([[[0, CLIPPED, CLIPPED, CLIPPED, 0, CLIPPED]]], np.uint8)
+    up = torch.tensor([[0.0, 0, 1]])
+    btf = Btf(summarise(shown, flags), up, up, Decoder(shown.dtype, "linear", 1.0))
+    albedo = torch.tensor([0.6, 0.7, 1.0, 3.0, 3.0, 3.0]).expand(3, 1, 6).clone()
+    found = evaluate(tm.models.Texture({"albedo": albedo}, storage="float"), btf, torch.tensor([0])).report
+    # 0.1 too bright, 0.3 too dark though clipped, right, brighter than white twice - once unclipped -, and so in two channels.
+    squares = 3 * (0.1**2 + 0.3**2 + 0 + 0 + 2.0**2) + 2 * 2.5**2
+    assert found["mse"] == pytest.approx(squares / 18, rel=1e-5)
+    assert found["relative_error"] == pytest.approx(squares / (3 * (0.25 + 4) + 1 + 2 * 0.25), rel=1e-5)
 
 
 def test_measuring_can_be_left_out(btf):

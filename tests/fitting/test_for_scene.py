@@ -7,6 +7,7 @@ import json
 import numpy as np
 import pytest
 import torch
+from tests.fitting.reference_scene import relief_scene
 from tests.support import all_pairs, assert_close, hemisphere, plausible_images
 
 import torchmat as tm
@@ -17,6 +18,7 @@ from torchmat.fitting.geometry import Flat
 from torchmat.fitting.models.lobe import fit_lobe
 from torchmat.fitting.models.streamed import solve_texels, stream_moments
 from torchmat.fitting.recipe import RECIPES
+from torchmat.fitting.relief.surface import bring_onto, without_shadow
 from torchmat.fitting.scene.fit import choose
 from torchmat.fitting.training import Training, make_training
 from torchmat.metrics import relative
@@ -109,6 +111,34 @@ def test_a_sample_that_counts_twice_is_the_sample_given_twice(btf, model):
         expected = RECIPES[model].run(everything(doubled)).material
     for name, value in expected.maps.items():
         assert_close(found.maps[name], value, 1e-9)
+
+
+@pytest.mark.parametrize("model", ("lambert", "ptm"))
+def test_on_a_relief_too_a_sample_that_counts_twice_is_the_sample_given_twice(model):
+    """Lambert keeps samples in shadow and fits ambient light itself; all others fit what is lit. Some are held out."""
+    small = {"rows": 10, "columns": 12, "views": ((0, 1), (40, 2)), "lights": ((15, 1), (35, 4), (60, 3))}
+    btf = relief_scene(**small).btf(np.float64)
+    height = relief_scene(**small).true_height
+    held_out = torch.arange(len(btf)) % 5 == 1
+    counts = torch.where(held_out, 9.0, 1.0 + (torch.arange(len(btf)) % 3 == 0)).double()
+    again = torch.cat((torch.arange(len(btf))[~held_out], torch.nonzero((counts == 2) & ~held_out)[:, 0]))
+    found = []
+    for data, used, importance in (
+        (btf, ~held_out, counts), (btf.picked(again), torch.ones(len(again), dtype=torch.bool), None), (btf, ~held_out, None),
+    ):
+        shared = {"mean_value": 0.3}  # that of all texels and samples, however often they count
+        training = Training(data, used, dtype=torch.float64, progress=False, importance=importance, shared=shared)
+        surface = bring_onto(training, height)
+        with torch.no_grad():
+            if model == "lambert":
+                found.append(RECIPES[model].on_relief(surface, height).material)
+            else:
+                found.append(RECIPES[model].run(without_shadow(surface, torch.full((3, 10, 12), 0.01).double())).material)
+    counted, twice, alike = found
+    for name in set(counted.maps) - {"height"}:
+        assert_close(counted.maps[name], twice.maps[name], 1e-9)
+    value = "albedo" if model == "lambert" else "polynomial"
+    assert float((counted.maps[value] - alike.maps[value]).detach().abs().max()) > 1e-3, "the counts make no difference"
 
 
 def test_images_are_drawn_as_often_as_they_count(btf):

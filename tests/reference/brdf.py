@@ -1,7 +1,10 @@
 """BRDFs at one light and view in scalar arithmetic: the formulas as printed, and the two tables by explicit sums."""
 
 import math
+import sys
+from unittest import mock
 
+import mpmath
 import numpy as np
 
 
@@ -111,6 +114,13 @@ REFLECTANCE = {
 def value(name, parameters, light, view):
     """Return ``pi f_r cos(light)`` of a formula."""
     return [math.pi * f * light[2] for f in REFLECTANCE[name](parameters, light, view)]
+
+
+def exact_value(name, parameters, light, view):
+    """Return `value` [3] for directions of exactly length 1, computed with 50 digits: where float64 has none left."""
+    with mpmath.workdps(50), mock.patch.object(sys.modules[__name__], "math", mpmath):
+        directions = [[x / mpmath.norm(given) for x in map(mpmath.mpf, given)] for given in (light, view)]
+        return np.array([float(x) for x in value(name, [mpmath.mpf(x) for x in parameters], *directions)])
 
 
 def half_difference(light, view):
