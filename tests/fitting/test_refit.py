@@ -123,7 +123,7 @@ def test_every_model_is_repaired_where_a_map_was_spoilt(btf, model, options):
 
 
 @pytest.mark.parametrize(("model", "options"), [
-    ("ptm", {}), ("distribution", {"lobes": 1, "effort": 0.1, "specular_size": 8, "fresnel": "no", "rotation": "no"}),
+    ("ptm", {}), ("distribution", {"lobes": 1, "effort": 0.1, "specular_size": 8, "fresnel": False, "rotation": False}),
 ])
 def test_a_wrong_height_moves_to_where_the_images_want_it(model, options):
     scene = relief_scene()
