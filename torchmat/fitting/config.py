@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -15,8 +15,9 @@ from torchmat.errors import RangeError, check_known_keys, check_option, message
 from torchmat.fitting.data_settings import DATA_KEYS, check_data_settings
 from torchmat.fitting.geometry import check_word, is_path
 from torchmat.fitting.recipe import recipe_of
-from torchmat.fitting.recipes import AUTO, resolve_options
+from torchmat.fitting.recipes import AUTO, RECIPES, default_options, resolve_options
 from torchmat.fitting.wanted import make_target
+from torchmat.shipped import find_file, shipped_names
 from torchmat.text_file import read_toml
 
 
@@ -100,15 +101,32 @@ def make_config(table: dict[str, Any], where: str = "config") -> FitConfig:
         raise RangeError(str(error) if where == "config" else f"{where}: {error}") from error
 
 
-def load_config(path: str | Path, overrides: list[str] | None = None) -> FitConfig:
-    """Read a TOML config; `overrides` are texts such as ``options.residual="half_light"`` or ``seed=3``.
+def load_config(name: str | Path, overrides: Sequence[str] = ()) -> FitConfig:
+    """Read a TOML config, or take a model with its defaults.
 
-    A value that is not TOML counts as a plain string. Raises DataError or RangeError, naming the file or the key.
+    Args:
+        name: a text with a suffix or a folder, or a Path, is a TOML file: as it stands, or where there is none, the
+            config of that name that ships with the package ("phong_srf_half_light.toml"). Every other text is the name
+            of a model, or "auto".
+        overrides: texts such as ``seed=3``, ``target.psnr=25``, ``options.terms=16`` or in short ``terms=16``: a key that
+            no config has is an option of the model. A value that is not TOML counts as a plain string.
+
+    Raises DataError or RangeError, naming the file or the key.
     """
-    table = read_toml(path, "the config")
-    for text in overrides or []:
+    if isinstance(name, Path) or is_config(name):
+        path = find_file(name)
+        table, where = read_toml(path, "the config"), str(path)
+    else:
+        check_option("fit", "model", name, (*RECIPES, AUTO, *shipped_names()))
+        table, where = {"model": name}, "config"
+    for text in overrides:
         _override(table, text)
-    return make_config(table, str(path))
+    return make_config(table, where)
+
+
+def is_config(name: object) -> bool:
+    """Return whether a text names the file of a config rather than a model."""
+    return isinstance(name, str) and (bool(Path(name).suffix) or len(Path(name).parts) > 1)
 
 
 def parse_value(text: str) -> Any:
@@ -122,9 +140,14 @@ def parse_value(text: str) -> Any:
 def _override(table: dict[str, Any], text: str) -> None:
     name, separator, value = text.partition("=")
     if not separator or not name.strip():
-        step = "For example --set options.residual=half_light."
+        step = "For example --set residual=half_light."
         raise RangeError(message("--set", repr(text), "be KEY=VALUE", "it has no key or no '='", step))
     *parents, key = name.strip().split(".")
+    fields = [field.name for field in dataclasses.fields(FitConfig)]
+    if not parents and key not in fields:
+        options = default_options(table.get("model", FitConfig.model))
+        check_known_keys("--set", [key], (*fields, *options))
+        parents = ["options"]
     for parent in parents:
         table = table.setdefault(parent, {})
         if not isinstance(table, dict):

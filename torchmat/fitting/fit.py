@@ -236,9 +236,7 @@ def _held_out_error(btf: Btf, split: Split) -> Callable[[Material], float]:
 def _resolve(
     model: str | Path | FitConfig, given: dict[str, Any], wanted: dict[str, Any], options: dict[str, Any]
 ) -> FitConfig:
-    if isinstance(model, Path) or (isinstance(model, str) and model.endswith(".toml")):
-        model = load_config(model)
-    base = model if isinstance(model, FitConfig) else FitConfig(model=model)
+    base = model if isinstance(model, FitConfig) else load_config(model)
     given, wanted = ({name: value for name, value in table.items() if value is not None} for table in (given, wanted))
     return dataclasses.replace(base, **given, target={**base.target, **wanted}, options={**base.options, **options})
 
