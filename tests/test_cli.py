@@ -294,7 +294,7 @@ def test_an_unknown_command_ends_with_2(capsys):
 
 
 def test_the_scripts_are_the_commands(data, tmp_path):
-    for name in ("fit", "render", "compare", "info", "geometry", "create"):
+    for name in ("fit", "models", "render", "compare", "info", "geometry", "create"):
         assert (ROOT / "scripts" / f"{name}.py").is_file()
     script = str(ROOT / "scripts" / "info.py")
     done = subprocess.run(

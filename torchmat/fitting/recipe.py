@@ -108,7 +108,9 @@ class Recipe:
     or "recover", is what a fit takes the surface for where nothing else is asked. `shared` is the class of what its fit
     says that all texels have in common. `quick` are options of the fit that says what a relief is worth, `rungs` the candidates
     of the automatic choice, `ladder` how it is built part by part there. `compared` are the options of its rows in a comparison ("terms=9"; empty is none), and
-    `solvers_differ` adds a row for each further solver, where none is the obvious one.
+    `solvers_differ` adds a row for each further solver, where none is the obvious one. `bytes_per_texel` says in words what
+    its maps take by default, for lists of models; what each option means stands in the docstring of `fit` or `start`, in
+    a section "Args:" (`describe_model`).
     """
 
     material: type[Material]
@@ -126,6 +128,7 @@ class Recipe:
     ladder: Ladder | None = None
     compared: tuple[str, ...] = ("",)
     solvers_differ: bool = False
+    bytes_per_texel: str = ""
 
     def __post_init__(self) -> None:
         where = "Recipe"
@@ -148,6 +151,11 @@ class Recipe:
         return self.material.name
 
     @property
+    def way(self) -> Callable[..., Any]:
+        """The function whose keywords are the model's options: `fit` or `start`."""
+        return self.fit or self.start
+
+    @property
     def all_solvers(self) -> tuple[str, ...]:
         """Every solver that may be asked for, the default first."""
         if self.fit is None:
@@ -157,7 +165,7 @@ class Recipe:
     @property
     def options(self) -> dict[str, Any]:
         """The model's options and their defaults: the keywords of its fit or start, the solver and the objective."""
-        parameters = inspect.signature(self.fit or self.start).parameters.values()
+        parameters = inspect.signature(self.way).parameters.values()
         own = {p.name: p.default for p in parameters if p.kind is inspect.Parameter.KEYWORD_ONLY}
         more = {"steps": 0, "rate": 0.0} if self.fit is None else {}
         return {**own, **more, "solver": self.all_solvers[0], "objective": self.objective}
