@@ -17,7 +17,7 @@ from torchmat.btf import Btf, Split, split_samples
 from torchmat.errors import RangeError, message
 from torchmat.fitting.choice.choose import fit_auto
 from torchmat.fitting.config import FitConfig, load_config
-from torchmat.fitting.evaluate import SPLITS, evaluate, evaluate_parts, shading_rate
+from torchmat.fitting.evaluate import evaluate, evaluate_parts, nothing_measured, shading_rate
 from torchmat.fitting.from_material import check_free, fit_from, kept_names, onward_of
 from torchmat.fitting.geometry import AUTO_RELIEF, RECOVER, Geometry, resolve_geometry
 from torchmat.fitting.objective import described
@@ -127,7 +127,7 @@ def fit(
         fitted = task.run(training)
         watch.note(lambda: fitted.material)
     seconds = watch.seconds
-    errors, held_out = evaluate_parts(btf, fitted.material, split, progress) if measure else (dict.fromkeys(SPLITS), None)
+    errors, held_out = evaluate_parts(btf, fitted.material, split, progress) if measure else (nothing_measured(), None)
     used = task.options if fitted.options is None else fitted.options
     ways = {"options": described(used), "geometry": task.geometry}
     report = {**_described(btf, config, fitted), **ways, "fit_seconds": seconds, **errors, "curve": watch.history}
