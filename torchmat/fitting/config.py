@@ -25,11 +25,19 @@ from torchmat.text_file import read_toml
 class FitConfig:
     """Everything that decides a fit, apart from the data itself.
 
-    `options` are the model's; `geometry` is "flat", "recover", or the path of a height map; left out
-    it is the model's own way (`resolve_geometry`), and the model "auto" leaves the relief to the data;
-    `target` holds what `Target` does: the wanted error and budgets of the model "auto", and the seconds of any other;
-    `tile_size` is the side of the tiles of texels that are fitted one after the other and `memory_mb` what a fit may take,
-    0 is no wish for both; `data` are keywords of `load_btf`, used by the command line.
+    Args:
+        model: name of a registered model, or "auto" for the choice among them.
+        options: the model's options by name (`describe_model`); those left out have their defaults.
+        holdout: share of the samples that the fit never sees and is measured on, in [0, 1).
+        holdout_by: what is held out: "pair", "light", "view" or "arc" (`split_samples`).
+        seed: seed of the split and of the solvers, from 0.
+        geometry: "flat", "recover", or the path of a height map; None is the model's own way (`Recipe.geometry`), and
+            of the model "auto" leaves the relief to the data.
+        tiles: whether the surface repeats at its borders.
+        target: what is wanted: of "auto" `error` (relative), `psnr` (dB), `bytes` a texel; of any model `seconds`.
+        tile_size: side, in texels, of the tiles that are fitted one after the other; 0 is no wish.
+        memory_mb: what a fit may take, in MB, by tiles if need be; 0 is no wish.
+        data: keywords of `load_btf`, used by the command line.
     """
 
     model: str = "phong_srf"

@@ -42,9 +42,15 @@ def evaluate(
     material: Material, btf: Btf, indices: Tensor, most: int | None = None, progress: bool | None = False,
     perceptual: bool = True,
 ) -> Evaluation:
-    """Measure `material` against samples `indices` of `btf` (at most `most`, evenly chosen).
+    """Measure a material against samples of a BTF: errors pooled, by polar angle, and of each sample.
 
-    `perceptual` False leaves SSIM and CIEDE2000 out, which take most of the time.
+    Args:
+        material: the material; one that is smaller than the images, or a part of them, is brought to theirs.
+        btf: the images.
+        indices: numbers [n] of the samples, such as ``result.split.held_out``.
+        most: the most samples that are looked at, evenly chosen; None is all.
+        progress: whether to show a bar; None shows it on a terminal.
+        perceptual: whether to include SSIM and CIEDE2000, which take most of the time.
     """
     if most is not None and len(indices) > most:
         indices = indices[torch.linspace(0, len(indices) - 1, most).round().long()]

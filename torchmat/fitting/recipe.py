@@ -97,20 +97,31 @@ class Tiling:
 class Recipe:
     """A model's fit and all that relief, tiles, choice, comparison and memory need to know of it.
 
-    Either `fit` or `start` is given. ``fit(training, *, ...) -> Fitted`` is the model's own way on a flat surface: its
-    keywords are the model's options, and `solvers` names what it does, the default first. ``start(training, *, ...) ->
-    Material`` gives maps from which the solvers of all models (adam, minibatch, lbfgs) descend.
+    Either `fit` or `start` is given. What each option means stands in its docstring, in a section "Args:"
+    (`describe_model`).
 
-    `descends` says that those solvers serve as well, from what `fit` makes of few samples; without it `solvers` are all
-    there are. `objective` is what the fit makes small, which those solvers then do too unless they are asked for another;
-    a fit that takes any has a keyword of that name. `on_relief` (surface, height, options) fits shadow and ambient
-    itself, or returns None for options that take the way of all models; those of `rungs` it must take. `geometry`, "flat"
-    or "recover", is what a fit takes the surface for where nothing else is asked. `shared` is the class of what its fit
-    says that all texels have in common. `quick` are options of the fit that says what a relief is worth, `rungs` the candidates
-    of the automatic choice, `ladder` how it is built part by part there. `compared` are the options of its rows in a comparison ("terms=9"; empty is none), and
-    `solvers_differ` adds a row for each further solver, where none is the obvious one. `bytes_per_texel` says in words what
-    its maps take by default, for lists of models; what each option means stands in the docstring of `fit` or `start`, in
-    a section "Args:" (`describe_model`).
+    Args:
+        material: the class, whose `name` is the model's.
+        fit: ``fit(training, *, ...) -> Fitted``, the model's own way on a flat surface; its keywords are the model's
+            options.
+        start: ``start(training, *, ...) -> Material``, maps from which the solvers of all models (adam, minibatch, lbfgs)
+            descend.
+        solvers: what `fit` does, the default first.
+        descends: whether the solvers of all models serve as well, from what `fit` makes of few samples; without it `solvers`
+            are all there are.
+        objective: what the fit makes small, which those solvers then do too unless they are asked for another; a fit that
+            takes any has a keyword of that name.
+        on_relief: ``on_relief(surface, height, *, ...)`` fits shadow and ambient light itself, or returns None for options
+            that take the way of all models; those of `rungs` it must take.
+        geometry: "flat" or "recover": what a fit takes the surface for where nothing else is asked.
+        quick: options of the fit that says what a relief is worth.
+        tiling: how the model is fitted tile by tile, and what memory that takes.
+        shared: the class of what its fit says that all texels have in common.
+        rungs: candidates of the automatic choice.
+        ladder: how the choice builds the model part by part; None if it does not.
+        compared: options of its rows in a comparison ("terms=9"; empty is none).
+        solvers_differ: whether a comparison has a row for each further solver, where none is the obvious one.
+        bytes_per_texel: what the maps take by default, in words, for lists of models; empty where unknown.
     """
 
     material: type[Material]
@@ -250,7 +261,10 @@ RECIPES: dict[str, Recipe] = {}
 def register(recipe: Recipe) -> Recipe:
     """Add a model to those that `fit`, `compare`, folders and pictures know by name; return the recipe.
 
-    The built-in models come the same way. Raises RangeError when the name is taken, or the recipe is none.
+    Args:
+        recipe: the model's material and fit. The built-in models come the same way.
+
+    Raises RangeError when the name is taken, or the recipe is none.
     """
     if not isinstance(recipe, Recipe):
         step = "Give Recipe(material=..., start=...) or Recipe(material=..., fit=...)."
