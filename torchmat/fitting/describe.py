@@ -9,9 +9,9 @@ from typing import Any
 
 from torchmat.docstrings import documented_arguments
 from torchmat.fitting.recipe import RECIPES, Recipe, recipe_of
+from torchmat.fitting.recipes import described_kind
 from torchmat.models.storage import STORAGES
 
-_KINDS = {bool: "true or false", int: "whole number", float: "number", str: "text"}
 _WIDTH = 110  # letters of a line
 _IN = " " * 6
 
@@ -65,7 +65,7 @@ def describe_model(name: str) -> ModelDescription:
     common, own = _common(recipe), documented_arguments(recipe.way)
     options = [
         Option(
-            option, default, _KINDS.get(type(default), type(default).__name__),
+            option, default, described_kind(recipe.kinds[option]),
             ". ".join(text.rstrip(".") for text in (common.get(option), own.get(option)) if text),
         )
         for option, default in recipe.options.items()
