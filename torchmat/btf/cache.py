@@ -88,7 +88,7 @@ def _write(source: File | Folder | Zip, listing: Listing, folder: Path, options:
         flags = np.memmap(folder / _FLAGS, np.uint8, "w+", shape=(shape[0], *shape[2:]))
         table = decode_samples(images, names, normalise, pixels, flags, show)
     files = np.array(listing.files)
-    np.savez(folder / _TABLE, light=listing.light.numpy(), view=listing.view.numpy(), files=files, **table)
+    np.savez(folder / _TABLE, light=listing.light.numpy(), view=listing.view.numpy(), files=files, clipped=table["clipped"], invalid=table["invalid"])
     header = {
         "format": _FORMAT, "fingerprint": source.fingerprint, "kind": listing.kind, "source": str(source.path),
         "shape": shape, "dtype": normalise.out_dtype.name, "table": zlib.crc32((folder / _TABLE).read_bytes()),

@@ -165,6 +165,7 @@ class RawBtf:
         return safe.divide(total[:, :3] * weight.sum(dim=1, keepdim=True), total[:, 3:])
 
     def _looked_up(self, sample: Tensor, weight: Tensor, texel: Tensor, share: Tensor) -> Tensor:
+        assert self._table is not None
         rows = (sample[:, :, None] * math.prod(self.size) + texel[:, None]).flatten(1)
         return _weighted_rows(self._table, rows, (weight[:, :, None] * share[:, None]).flatten(1))
 

@@ -8,6 +8,7 @@ import os
 import time
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -99,7 +100,7 @@ def load_btf(
     return Btf(store, listing.light.float(), listing.view.float(), decoder, origin, clipped_weight)
 
 
-def _whole(name: str, value: object) -> int:
+def _whole(name: str, value: Any) -> int:
     try:
         if not isinstance(value, bool):
             return operator.index(value)
@@ -152,8 +153,6 @@ def _select(
 
 def _take(store: PixelStore, rows: np.ndarray) -> PixelStore:
     """Pick rows of a store. The codes are copied into memory: a chosen part of a BTF is what one works on at hand."""
-    fields = {}
-    for field in dataclasses.fields(store):
-        value = getattr(store, field.name)
-        fields[field.name] = None if value is None else value[rows]
+    fields: dict[str, Any] = {field.name: getattr(store, field.name) for field in dataclasses.fields(store)}
+    fields = {name: None if value is None else value[rows] for name, value in fields.items()}
     return PixelStore(**fields)

@@ -137,17 +137,11 @@ def save_material(
 
     Args:
         material: what to write.
-        folder: where; a path that ends in ``.3pm`` gets the slices of a shading map, and nothing else (`write_volume`).
+        folder: where; a path that ends in the suffix of an exporter, such as ``.3pm``, gets that file and nothing else;
+            `export` says beside it what the file cannot hold.
         provenance: what the manifest says of where the material comes from, as JSON has it; None is nothing.
         companions: called with the folder before it appears, to write more into it (report, pictures).
 
-<<<<<<< HEAD
-    A path that ends in the suffix of an exporter, such as ``.3pm``, gets that file and nothing else; `export` says
-    beside it what the file cannot hold. A material that stands there is replaced in one step; a folder that holds
-    anything else is refused, so that no file of the user's is lost. `companions` may write more (report, pictures) into
-    the folder before it appears.
-=======
->>>>>>> 984eec4 (Every public name lists its arguments with shape, unit and range, in one form that a test holds)
     Raises DataError when the folder cannot be written, RangeError when a map cannot be stored.
     """
     target = Path(folder)

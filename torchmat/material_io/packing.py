@@ -135,7 +135,7 @@ def unpack(folder: str | Path) -> Distribution:
         raise DataError(message(str(path), "the description", "describe a packed material", fact, step)) from error
 
 
-def _settings(material: Distribution) -> dict[str, Any]:
+def _settings(material: Material) -> dict[str, Any]:
     found = {"model": material.name, "options": material.options, "tiles": material.tiles, "storage": material.storage}
     return found if material.cutout is None else found | {"cutout": material.cutout.as_table()}
 

@@ -37,7 +37,7 @@ class Material(Storable):
     """
 
     name: ClassVar[str]
-    isotropic: ClassVar[bool] = False
+    isotropic: bool = False
     reciprocal: ClassVar[bool] = False
 
     def __init__(
@@ -166,7 +166,7 @@ class Material(Storable):
         if not self.has_relief:
             return self.at(uv).shade(light, view)
         self._check_uv("shade_at", uv)
-        self._check_directions(light, view, tuple(uv.shape[-2:]))
+        self._check_directions(light, view, (uv.shape[-2], uv.shape[-1]))
         return shade_points(self, self._placed(uv).to(self.dtype), light, view)
 
     def _shade_flat(self, light: Tensor, view: Tensor) -> Tensor:
@@ -235,7 +235,7 @@ class Material(Storable):
         """
         return self._unchecked(dict(maps), _parts=(), stored={}, cutout=None)
 
-    def _unchecked(self, maps: dict[str, Tensor], **fields: Any) -> Self:
+    def _unchecked(self, maps: dict[str, Tensor] | nn.ParameterDict, **fields: Any) -> Self:
         """Return a material that differs from this one in these maps and fields: neither checked nor copied."""
         other = type(self).__new__(type(self))
         nn.Module.__init__(other)
