@@ -78,7 +78,7 @@ def test_a_model_from_outside_is_described_as_the_others_are(capsys):
     assert said.bytes_per_texel == "" and said.solvers == ("minibatch", "adam", "lbfgs")
     roughness = said.options[0]
     assert (roughness.name, roughness.default, roughness.kind) == ("roughness", 0.3, "a number")
-    assert {one.name for one in said.options} == {"roughness", "storage", "steps", "rate", "solver"}
+    assert {one.name for one in said.options} == {"roughness", "storage", "steps", "rate", "solver", "objective"}
     assert all(one.meaning for one in said.options)
 
 

@@ -8,6 +8,7 @@ from textwrap import fill
 from typing import Any
 
 from torchmat.docstrings import documented_arguments
+from torchmat.fitting.objective import OBJECTIVES
 from torchmat.fitting.recipe import RECIPES, Recipe, recipe_of
 from torchmat.fitting.recipes import described_kind
 from torchmat.models.storage import STORAGES
@@ -79,6 +80,8 @@ def _common(recipe: Recipe) -> dict[str, str]:
     return {
         "storage": f"how textures are stored: {_listed(STORAGES)}; the first two are EXR",
         "solver": f"what finds the maps: {_listed(recipe.all_solvers)}",
+        "objective": f"what the fit makes small: {_listed(dict.fromkeys((recipe.objective, *OBJECTIVES)))}; in Python also a "
+        "callable residual(predicted, target, weight)",
         "steps": "steps of the solver, at least 0; 0 is the solver's own number",
         "rate": "length of a step of adam and minibatch, at least 0; 0 is the solver's own",
     }

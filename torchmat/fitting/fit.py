@@ -119,8 +119,9 @@ def fit(
         dtype: torch.float32, or torch.float64 for the same code in double precision.
         measure: whether the report has errors; measuring takes most of the time of a closed-form fit.
         progress: whether to show a bar; None shows it on a terminal.
-        options: the model's options, such as ``terms=16`` (`describe_model`); of a material `solver` ("minibatch", "adam" or
-            "lbfgs"), `steps`, `rate`, and `keep`, the names of maps that stay to the bit.
+        options: the model's options, such as ``terms=16`` (`describe_model`), its `solver`, a name or an object such as
+            ``Adam(steps=100)``, and its `objective`; of a material `solver`, `steps`, `rate`, `objective`, and `keep`, the
+            names of maps that stay to the bit.
 
     Raises RangeError for unknown models or options, FitError when the data cannot determine the model.
     """
