@@ -75,6 +75,18 @@ def test_set_overrides_the_config(config, data, tmp_path):
     assert not (tmp_path / "out" / "report.html").exists() and (tmp_path / "out" / "residual_hx.png").is_file()
 
 
+def test_a_model_is_fitted_by_its_name(data, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    report = fitted("hsh", data, tmp_path / "out", "--no-pictures", "--set", "terms=4", "--set", "holdout=0.3", "--seed", 5)
+    assert (report["model"], report["options"]["terms"], report["holdout"], report["seed"]) == ("hsh", 4, 0.3, 5)
+    write_image(tmp_path / "height.exr", np.random.default_rng(0).random((8, 9, 1)).astype(np.float32) / 50)
+    for geometry, word in (("flat", "flat"), ("height.exr", "given")):
+        report = fitted("lambert", data, tmp_path / "out", "--no-pictures", "--geometry", geometry, "--seconds", 50)
+        assert report["geometry"] == word and report["target"] == {"seconds": 50}
+    report = fitted("auto", data, tmp_path / "auto", "--no-pictures", "--geometry", "flat", "--bytes", 10)
+    assert report["target"] == {"bytes": 10} and report["bytes_per_texel"] <= 10
+
+
 def test_the_config_and_the_command_line_say_how_to_read(config, data, tmp_path):
     config.write_text(CONFIG + "[data]\ncrop = [1, 2, 4, 5]\nexposure = 2.0\n", encoding="utf-8")
     report = fitted(config, data, tmp_path / "a", "--no-pictures", "--no-cache")
@@ -165,6 +177,8 @@ def test_bad_input_is_named_and_ends_with_2(config, data, tmp_path, capsys):
     out = tmp_path / "out"
     refused(capsys, "nowhere.toml", "fit", tmp_path / "nowhere.toml", "--data", data, "--out", out)
     refused(capsys, "nowhere", "fit", config, "--data", tmp_path / "nowhere", "--out", out)
+    refused(capsys, "Did you mean 'distribution'", "fit", "distributoin", "--data", data, "--out", out)
+    refused(capsys, 'be wanted of the model "auto"', "fit", "ptm", "--data", data, "--out", out, "--psnr", 20)
     refused(capsys, "Did you mean 'residual'", "fit", config, "--data", data, "--out", out, "--set", "options.residul=half")
     refused(capsys, "KEY=VALUE", "fit", config, "--data", data, "--out", out, "--set", "seed")
     refused(capsys, "Did you mean 'manifest'", "info", data, "--kind", "manifets", "--no-plot")
@@ -280,7 +294,7 @@ def test_an_unknown_command_ends_with_2(capsys):
 
 
 def test_the_scripts_are_the_commands(data, tmp_path):
-    for name in ("fit", "render", "compare", "info", "geometry", "create"):
+    for name in ("fit", "models", "render", "compare", "info", "geometry", "create"):
         assert (ROOT / "scripts" / f"{name}.py").is_file()
     script = str(ROOT / "scripts" / "info.py")
     done = subprocess.run(

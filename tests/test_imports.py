@@ -15,8 +15,8 @@ PACKAGE = Path(torchmat.__file__).parent
 
 # A room may import from rooms of a lower level only, or from itself.
 LEVELS = {
-    "errors": 0, "safe": 0, "planes": 0, "repeatable": 0, "colour": 0, "progress": 0, "machine": 0, "atomic": 1,
-    "frames": 1, "images": 1, "text_file": 1, "metrics": 1, "sample": 1, "solvers": 1,
+    "docstrings": 0, "errors": 0, "safe": 0, "planes": 0, "repeatable": 0, "colour": 0, "progress": 0, "machine": 0, "atomic": 1,
+    "frames": 1, "images": 1, "text_file": 1, "metrics": 1, "sample": 1, "shipped": 1, "solvers": 1,
     "brdf": 2, "btf": 2, "geometry": 2, "models": 3, "fitting": 4, "rendering": 4, "scene_use": 2, "material_io": 4,
     "create": 4, "report": 5, "many": 5, "cli": 6,
 }
@@ -27,10 +27,10 @@ ROOMS_THAT_DO_NOT_MEET["models"] = {"btf"}
 PUBLIC = {
     "LBFGS", "Adam", "Brdf", "Btf", "Camera", "ClosedForm", "DataError", "Directional", "Exporter", "FitConfig",
     "FitError", "FitResult", "LevenbergMarquardt", "Losses", "Material", "Minibatch", "Point", "RangeError", "RawBtf",
-    "Reader", "Recipe", "Scene", "ShapeError", "TorchmatError", "VariableProjection", "compare", "environment_lights",
-    "evaluate", "export", "fit", "load_brdf", "load_btf", "load_config", "load_material", "pack", "recover_geometry",
-    "refit", "register", "register_exporter", "register_reader", "render", "sample_path", "sample_truth",
-    "save_material", "split_samples",
+    "Reader", "Recipe", "Scene", "ShapeError", "TorchmatError", "VariableProjection", "compare", "describe_model",
+    "describe_models", "environment_lights", "evaluate", "export", "fit", "load_brdf", "load_btf", "load_config",
+    "load_material", "pack", "recover_geometry", "refit", "register", "register_exporter", "register_reader", "render",
+    "sample_path", "sample_truth", "save_material", "split_samples",
 }
 
 

@@ -5,7 +5,7 @@ from torchmat.btf import Btf, Reader, load_btf, register_reader, split_samples
 from torchmat.btf.interpolated import RawBtf
 from torchmat.errors import DataError, FitError, RangeError, ShapeError, TorchmatError
 from torchmat.fitting import (
-    FitConfig, FitResult, Recipe, evaluate, fit, load_config, recover_geometry, refit, register,
+    FitConfig, FitResult, Recipe, describe_model, describe_models, evaluate, fit, load_config, recover_geometry, refit, register,
 )
 from torchmat.machine import package_version
 from torchmat.material_io import Exporter, Losses, export, load_material, pack, register_exporter, save_material
@@ -20,8 +20,8 @@ __version__ = package_version()
 __all__ = [
     "LBFGS", "Adam", "Brdf", "Btf", "Camera", "ClosedForm", "DataError", "Directional", "Exporter", "FitConfig",
     "FitError", "FitResult", "LevenbergMarquardt", "Losses", "Material", "Minibatch", "Point", "RangeError", "RawBtf",
-    "Reader", "Recipe", "Scene", "ShapeError", "TorchmatError", "VariableProjection", "compare", "environment_lights",
-    "evaluate", "export", "fit", "load_brdf", "load_btf", "load_config", "load_material", "pack", "recover_geometry",
-    "refit", "register", "register_exporter", "register_reader", "render", "sample_path", "sample_truth",
-    "save_material", "split_samples",
+    "Reader", "Recipe", "Scene", "ShapeError", "TorchmatError", "VariableProjection", "compare", "describe_model",
+    "describe_models", "environment_lights", "evaluate", "export", "fit", "load_brdf", "load_btf", "load_config",
+    "load_material", "pack", "recover_geometry", "refit", "register", "register_exporter", "register_reader", "render",
+    "sample_path", "sample_truth", "save_material", "split_samples",
 ]

@@ -46,6 +46,12 @@ class DataError(TorchmatError, ValueError):
     """A file or folder cannot be used as it is."""
 
 
+class NotMeasuredError(TorchmatError, KeyError):
+    """A figure is asked for that was not measured."""
+
+    __str__ = Exception.__str__  # a KeyError would put it in quotation marks
+
+
 class FitError(TorchmatError, RuntimeError):
     """A fit cannot be carried out on the given data."""
 

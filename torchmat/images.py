@@ -232,6 +232,8 @@ def _write_gif(where: str, path: Path, frames: Iterator[np.ndarray], hundredths:
     import OpenImageIO as oiio
 
     count, target = 0, oiio.ImageOutput.create(str(path))
+    if target is None:
+        raise _unwritable(where, oiio.geterror())
     for frame in frames:
         spec = oiio.ImageSpec(frame.shape[1], frame.shape[0], 3, "uint8")
         # The writer truncates 100 / rate to whole hundredths; half a hundredth more keeps it on the right side.

@@ -36,7 +36,11 @@ class Ggx(Material):
 
 
 def start_ggx(training: Training, *, roughness: float = 0.3, storage: str = "half") -> Ggx:
-    """Begin as Lambert's albedo with a faint highlight."""
+    """Begin as Lambert's albedo with a faint highlight.
+
+    Args:
+        roughness: GGX alpha to begin with, 0.02 to 1.
+    """
     design = make_design(training.light[:, 2, 0].double(), training.used)
     mean = stream_moments(training.btf, design, training.used, training.dtype).product[0] * design.to_coefficients[0, 0].to(training.dtype)
     one = torch.ones_like(mean[:1])

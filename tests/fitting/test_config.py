@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from torchmat import DataError, RangeError, load_btf, load_config
+from torchmat import DataError, FitConfig, RangeError, fit, load_btf, load_config, sample_path
 from torchmat.fitting import RECIPES, default_options
 from torchmat.fitting.data_settings import DATA_KEYS
 from torchmat.fitting.recipes import AUTO
@@ -130,3 +130,35 @@ def test_a_missing_file_is_named(tmp_path):
 @pytest.mark.parametrize("model", RECIPES)
 def test_every_default_is_of_a_kind_that_can_be_checked(model):
     assert all(type(value) in (bool, int, float, str) for value in default_options(model).values())
+
+
+def test_a_name_without_suffix_is_a_model_and_one_with_it_a_config(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert load_config("distribution") == FitConfig(model="distribution")
+    assert load_config("distribution.toml") == load_config(CONFIGS / "distribution.toml")
+    assert load_config("distribution.toml").options == {"storage": "png8"}
+    (tmp_path / "distribution.toml").write_text('model = "ptm"\n')
+    assert load_config("distribution.toml").model == "ptm"  # what is there comes before what ships
+    assert load_config("hsh", ["options.terms=16", "seed=5", "storage=png8"]) == FitConfig(
+        model="hsh", options={"terms": 16, "storage": "png8"}, seed=5
+    )
+
+
+@pytest.mark.parametrize(("name", "overrides", "said"), [
+    ("phong_srf_half_light", [], "Did you mean 'phong_srf_half_light.toml'"),
+    ("phong_srff", [], "Did you mean 'phong_srf'"),
+    ("hsh", ["trems=4"], "--set: key 'trems' must be one of: model, .*Did you mean 'terms'"),
+    ("hsh", ["sede=4"], "Did you mean 'seed'"),
+    ("hsh", ["terms=many"], "terms must be a whole number"),
+    (7, [], "model must be one of .*it is 7"),
+])
+def test_a_name_that_is_none_suggests_the_nearest(name, overrides, said):
+    with pytest.raises(RangeError, match=said):
+        load_config(name, overrides)
+
+
+def test_fit_takes_the_name_of_a_config_that_ships(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    btf = load_btf(sample_path(), cache=False, crop=(0, 0, 4, 4), progress=False)
+    report = fit(btf, "ptm.toml", holdout=0, measure=False).report
+    assert report["model"] == "ptm" and report["options"]["storage"] == "png8"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import pickle
 
 import numpy as np
 import pytest
@@ -14,7 +15,9 @@ import torchmat as tm
 from torchmat import Btf, FitConfig, FitError, RangeError
 from torchmat.btf.decode import Decoder
 from torchmat.btf.store import CLIPPED, summarise
+from torchmat.errors import NotMeasuredError
 from torchmat.fitting import RECIPES, evaluate, predict
+from torchmat.report.tables import to_json
 
 REPORT_KEYS = {
     "model", "options", "samples", "texels", "seed", "bytes_per_texel", "fit_seconds", "load_seconds",
@@ -100,9 +103,24 @@ def test_whole_lights_or_views_are_held_out(by, btf):
 def test_no_holdout_uses_everything_and_reports_nothing_held_out(btf):
     result = tm.fit(btf, "texture", holdout=0)
     assert len(result.split.train) == len(btf) and len(result.split.held_out) == 0
-    assert result.report["held_out"] is None and result.report["held_out_after_export"] is None
+    for part in ("held_out", "held_out_after_export"):
+        assert not result.report[part]
+        with pytest.raises(NotMeasuredError, match=f"^fit: report.'{part}'. must be measured; no samples are held out. Give"):
+            result.report[part]["relative_error"]
+    assert result.report["train"]["relative_error"] < 1
     assert result.held_out_errors is None
     assert result.report["train"]["samples"] == len(btf)
+
+
+def test_what_was_not_measured_says_so_and_what_to_do(btf):
+    report = pickle.loads(pickle.dumps(tm.fit(btf, "texture", measure=False).report))
+    for part in ("train", "held_out", "held_out_after_export"):
+        assert not report[part] and report[part].get("psnr_db") is None
+        with pytest.raises(NotMeasuredError, match="measure=False left the errors out. Leave measure out, or measure now"):
+            report[part]["relative_error"]
+        with pytest.raises(KeyError):
+            report[part]["psnr_db"]
+    assert json.loads(to_json(report))["held_out"] is None
 
 
 def test_seeds_choose_the_split(btf):
@@ -215,7 +233,7 @@ def test_what_is_brighter_than_a_clipped_target_is_no_error_and_what_is_darker_i
 def test_measuring_can_be_left_out(btf):
     result = tm.fit(btf, "ptm", measure=False)
     assert set(result.report) == REPORT_KEYS | EXTRA_KEYS
-    assert all(result.report[part] is None for part in ("train", "held_out", "held_out_after_export"))
+    assert not any(result.report[part] for part in ("train", "held_out", "held_out_after_export"))
     assert same_bits(result, tm.fit(btf, "ptm"))
 
 

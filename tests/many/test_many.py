@@ -171,6 +171,10 @@ def test_jobs_from_a_file(tmp_path):
     first, second = load_jobs(tmp_path / "jobs.toml", tmp_path / "out")
     assert (first.data, first.out) == (tmp_path / "a.zip", tmp_path / "out" / "a")
     assert (second.out, second.config.seed) == (tmp_path / "out" / "c", 3)
+    named = '[[job]]\ndata = "a"\nconfig = "hsh"\nset = ["terms=4"]\n[[job]]\ndata = "b"\nconfig = "auto.toml"\n'
+    (tmp_path / "jobs.toml").write_text(named)
+    first, second = load_jobs(tmp_path / "jobs.toml", tmp_path / "out")
+    assert first.config == FitConfig("hsh", {"terms": 4}) and second.config.target == {"psnr": 25.0}
 
 
 @pytest.mark.parametrize("text, problem", [

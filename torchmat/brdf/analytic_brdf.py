@@ -55,14 +55,9 @@ class AnalyticBrdf(Brdf):
         _check_bounds(name, self.lobe, parameters.detach())
         self.parameters = parameters
         self.dtype = parameters.dtype
-
-    @property
-    def isotropic(self) -> bool:
-        """Whether the lobe has no axis, or is as wide along it as across."""
-        if self.lobe.axis is None:
-            return True
-        along, across = self.parameters.detach()[..., 6], self.parameters.detach()[..., 7]
-        return bool((along == across).all())
+        # Without an axis, or as wide along it as across.
+        sides = parameters.detach()[..., 6:8]
+        self.isotropic = self.lobe.axis is None or bool((sides[..., 0] == sides[..., 1]).all())
 
     def value(self, light: Tensor, view: Tensor) -> Tensor:
         """Return ``pi * f_r * cos(light)`` of the formula, [..., 3, h, w]."""

@@ -32,10 +32,13 @@ def brdf_kind(path: str | Path) -> str | None:
 
 
 def load_brdf(path: str | Path, dtype: torch.dtype = torch.float32) -> Brdf:
-    """Return the measured BRDF in a file: MERL's `.binary` or RGL's `.bsdf`, told apart by content, not by name.
+    """Return the measured BRDF in a file, its kind told by content, not by name.
 
-    `dtype` is the precision of its numbers. Raises DataError, which names the file and says what to do, for anything
-    else.
+    Args:
+        path: MERL's `.binary` or RGL's `.bsdf`.
+        dtype: precision of its numbers, torch.float32 or torch.float64.
+
+    Raises DataError, which names the file and says what to do, for anything else.
     """
     # A file that is damaged in its head is still reported as the kind that its name says, in that reader's words.
     kind = brdf_kind(path) or SUFFIXES.get(Path(path).suffix.lower())

@@ -93,7 +93,7 @@ class MerlBrdf(Brdf):
     def _linear(self, half: Tensor, difference: Tensor, azimuth: Tensor) -> Tensor:
         halves, differences, azimuths = self.resolution
         first, second, third = _around(half, halves), _around(difference, differences), _around(azimuth)
-        blended = 0
+        blended = torch.zeros((), dtype=self.table.dtype)
         for row, row_weight in first:
             for column, column_weight in second:
                 for layer, layer_weight in third:
@@ -111,15 +111,15 @@ def _around(place: Tensor, count: int | None = None) -> tuple[tuple[Tensor, Tens
     place = place - 0.5
     lower = place.detach().floor()
     share = place - lower
-    bins = lower.long(), lower.long() + 1
+    below, above = lower.long(), lower.long() + 1
     if count is not None:
-        bins = tuple(number.clamp(0, count - 1) for number in bins)
-    return (bins[0], 1 - share), (bins[1], share)
+        below, above = below.clamp(0, count - 1), above.clamp(0, count - 1)
+    return (below, 1 - share), (above, share)
 
 
 def _line(values: Tensor, around: tuple[tuple[Tensor, Tensor], ...]) -> Tensor:
     """Return the blend of values [channel, n] at the bins and weights of `around`."""
-    total = 0
+    total = torch.zeros((), dtype=values.dtype)
     for number, weight in around:
         found = values.gather(1, number.flatten().expand(len(values), -1)).unflatten(1, number.shape)
         total = total + weight * found

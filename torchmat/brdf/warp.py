@@ -6,7 +6,7 @@ All of it is a gather of a few corners per point, so directions of any shape go 
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
@@ -14,7 +14,8 @@ from torch import Tensor
 from torchmat import safe
 
 
-class Slices(NamedTuple):
+@dataclass(frozen=True)
+class Slices:
     """Numbers and weights of the grids that are blended at a point; all tensors broadcast with the points."""
 
     index: tuple[Tensor, ...]
@@ -22,7 +23,7 @@ class Slices(NamedTuple):
 
     def blend(self, table: Tensor, size: int, offset: Tensor) -> Tensor:
         """Return the blend of `table` [slices * size, ...] at `offset` inside the slices."""
-        total = 0
+        total = torch.zeros((), dtype=table.dtype)
         for index, weight in zip(self.index, self.weight, strict=True):
             found = table[index * size + offset]
             total = total + (weight if found.ndim == weight.ndim else weight[..., None]) * found
@@ -34,7 +35,8 @@ def find_slices(axes: tuple[Tensor, ...], places: tuple[Tensor, ...]) -> Slices:
 
     Beyond the ends of an axis the end counts.
     """
-    index, weight = (torch.zeros((), dtype=torch.long),), (torch.ones((), dtype=axes[0].dtype),)
+    index: tuple[Tensor, ...] = (torch.zeros((), dtype=torch.long),)
+    weight: tuple[Tensor, ...] = (torch.ones((), dtype=axes[0].dtype),)
     for axis, place in zip(axes, places, strict=True):
         if len(axis) == 1:
             continue

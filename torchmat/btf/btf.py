@@ -66,9 +66,15 @@ def _switched_off(where: str, weight: Tensor, shape: tuple[int, int, int]) -> Te
 class Btf:
     """Images of a material under many lights and views.
 
-    `light` and `view` are [sample, 3] unit vectors away from the surface, in the frame x right, y up, z normal. A
-    value is ``pi * f_r * cos(light)`` in linear RGB. `clipped_weight` in [0, 1] is what a clipped sample counts in a
-    fit; an invalid one counts nothing.
+    A value is ``pi * f_r * cos(light)`` in linear RGB; directions point away from the surface, in the frame x right, y up,
+    z normal. `load_btf` reads one from files, `Btf.from_tensors` takes images that are at hand.
+
+    Args:
+        store: what gives the pixels of each sample, as codes or values.
+        light, view: unit vectors [sample, 3].
+        decoder: what makes linear values of the codes.
+        source: where the images come from; None if they were given.
+        clipped_weight: what a clipped sample counts in a fit, 0 to 1; an invalid one counts nothing.
     """
 
     def __init__(

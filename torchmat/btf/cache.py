@@ -87,8 +87,8 @@ def _write(source: File | Folder | Zip, listing: Listing, folder: Path, options:
         pixels = np.memmap(folder / _PIXELS, normalise.out_dtype, "w+", shape=shape)
         flags = np.memmap(folder / _FLAGS, np.uint8, "w+", shape=(shape[0], *shape[2:]))
         table = decode_samples(images, names, normalise, pixels, flags, show)
-    files = np.array(listing.files)
-    np.savez(folder / _TABLE, light=listing.light.numpy(), view=listing.view.numpy(), files=files, **table)
+    columns: dict[str, Any] = {"light": listing.light.numpy(), "view": listing.view.numpy(), **table}
+    np.savez(folder / _TABLE, files=np.array(listing.files), **columns)
     header = {
         "format": _FORMAT, "fingerprint": source.fingerprint, "kind": listing.kind, "source": str(source.path),
         "shape": shape, "dtype": normalise.out_dtype.name, "table": zlib.crc32((folder / _TABLE).read_bytes()),

@@ -31,12 +31,17 @@ class RawBtf:
     that it falls to 0 at the horizon; a view beyond them takes the outline's value as it is. A pair of light and view
     that was not measured takes the nearest pair that was, times the ratio of the lights' cosines. Of a pair measured
     twice the first image counts; images of lights below the surface do not. Texels without data leave their share to
-    the others; where all lack it the value is 0.
+    the others; where all lack it the value is 0. No gradient runs through.
 
-    `tiles`: whether the images repeat (else their border goes on). Images of up to `memory_gb` decoded (12 bytes a
-    texel and image in float32, 16 with missing texels) are held in memory; larger data is read for each picture anew.
-    `dtype` is the precision of directions and values. No gradient runs through. Raises DataError when no light stands
-    above the surface, or when lights and views are scattered over more than a million combinations.
+    Args:
+        btf: the images.
+        tiles: whether they repeat; else their border goes on.
+        memory_gb: decoded images of up to so many GB (12 bytes a texel and image in float32, 16 with missing texels) are
+            held in memory; larger data is read for each picture anew.
+        dtype: precision of directions and values.
+
+    Raises DataError when no light stands above the surface, or when lights and views are scattered over more than a
+    million combinations.
     """
 
     name = "raw_btf"
@@ -160,6 +165,7 @@ class RawBtf:
         return safe.divide(total[:, :3] * weight.sum(dim=1, keepdim=True), total[:, 3:])
 
     def _looked_up(self, sample: Tensor, weight: Tensor, texel: Tensor, share: Tensor) -> Tensor:
+        assert self._table is not None
         rows = (sample[:, :, None] * math.prod(self.size) + texel[:, None]).flatten(1)
         return _weighted_rows(self._table, rows, (weight[:, :, None] * share[:, None]).flatten(1))
 

@@ -8,6 +8,7 @@ import os
 import time
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -43,17 +44,26 @@ def load_btf(
     cache: bool | str | Path = True,
     progress: bool | None = None,
 ) -> Btf:
-    """Load a measured BTF or RTI capture from a folder, a zip, or a file that a registered reader takes.
+    """Load a measured BTF or RTI capture; values come out linear.
 
-    A path to the ``manifest.csv`` or ``.lp`` file itself means its folder. `kind` is "ubo2003", "utia", "manifest",
-    "rti" or the name of another reader (`register_reader`); None finds it from the content. Values come out linear,
-    divided by `exposure`; `encoding` "auto" reads integer files as sRGB and floating-point files as linear. `crop` is
-    (top, left, height, width) in texels, `downscale` a whole factor averaged in linear light (rows and columns left
-    over are dropped). `lights` and `views` keep only the directions with those numbers in the order of ``btf.lights``,
-    ``btf.views``. NaN and Inf are an error unless `invalid` is "mask" (weight 0); repeated directions are one unless
-    `duplicates` is "keep"; directions that are not unit are one unless `normalise`. Samples at the largest 8- or 16-bit
-    code are clipped: they count `clipped_weight` in a fit. Where images have alpha, what it covers less than half has
-    weight 0. `cache` is True (the user's cache folder, or $TORCHMAT_CACHE), a folder, or False.
+    Samples at the largest 8- or 16-bit code are clipped. Where images have alpha, what it covers less than half has
+    weight 0.
+
+    Args:
+        path: a folder, a zip, or a file that a registered reader takes; the ``manifest.csv`` or ``.lp`` file itself means its folder.
+        kind: "ubo2003", "utia", "manifest", "rti" or the name of another reader (`register_reader`); None finds it from the
+            content.
+        encoding: "srgb" or "linear"; "auto" reads integer files as sRGB and floating-point files as linear.
+        exposure: factor that the images were exposed with, above 0; values are divided by it.
+        crop: (top, left, height, width) in texels; None is all.
+        downscale: whole factor, at least 1, averaged in linear light; rows and columns left over are dropped.
+        lights, views: numbers, in the order of ``btf.lights`` and ``btf.views``, of the directions to keep; None is all.
+        invalid: what to do with NaN and Inf: "error", or "mask" for weight 0.
+        duplicates: what to do with repeated directions: "error" or "keep".
+        normalise: whether directions that are not unit are made so; else they are an error.
+        clipped_weight: what a clipped sample counts in a fit, 0 to 1.
+        cache: folder for decoded images; True is the user's cache folder, or $TORCHMAT_CACHE, and False is none.
+        progress: whether to show a bar; None shows it on a terminal.
 
     Raises DataError, ShapeError or RangeError, each naming the file.
     """
@@ -90,7 +100,7 @@ def load_btf(
     return Btf(store, listing.light.float(), listing.view.float(), decoder, origin, clipped_weight)
 
 
-def _whole(name: str, value: object) -> int:
+def _whole(name: str, value: Any) -> int:
     try:
         if not isinstance(value, bool):
             return operator.index(value)
@@ -143,8 +153,6 @@ def _select(
 
 def _take(store: PixelStore, rows: np.ndarray) -> PixelStore:
     """Pick rows of a store. The codes are copied into memory: a chosen part of a BTF is what one works on at hand."""
-    fields = {}
-    for field in dataclasses.fields(store):
-        value = getattr(store, field.name)
-        fields[field.name] = None if value is None else value[rows]
+    fields: dict[str, Any] = {field.name: getattr(store, field.name) for field in dataclasses.fields(store)}
+    fields = {name: None if value is None else value[rows] for name, value in fields.items()}
     return PixelStore(**fields)

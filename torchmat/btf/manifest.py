@@ -128,7 +128,8 @@ def read_manifest(source: Folder | Zip) -> Listing:
         raise DataError(message(where, "the header", "have a column `file`", f"it has {', '.join(header)}", step))
     columns = [_Columns(where, which, header) for which in ("light", "view")]
     known = FileNames(source, name)
-    files, values = [], ([], [])
+    files: list[str] = []
+    values: tuple[list[list[float]], list[list[float]]] = ([], [])
     for number, row in rows:
         line = f"{where}: line {number}"
         files.append(known.find(line, row["file"]))

@@ -48,8 +48,8 @@ def _read_names(source: Folder | Zip, kind: str) -> Listing:
             fact = f"light is at {light_azimuth:g}, view at {view_azimuth:g}"
             step = "pl and pv are azimuths from the right of the image; correct the name."
             raise DataError(message(where, "azimuths", "be 0 to 360 degrees", fact, step))
-    light_polar, light_azimuth, view_polar, view_azimuth = map(list, zip(*angles, strict=True))
-    light, view = from_degrees(light_polar, light_azimuth), from_degrees(view_polar, view_azimuth)
+    columns = [list(column) for column in zip(*angles, strict=True)]
+    light, view = from_degrees(columns[0], columns[1]), from_degrees(columns[2], columns[3])
     return Listing(kind, tuple(files), light, view)
 
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import torch
@@ -12,7 +13,8 @@ _COLLINEAR = 1e-4  # directions closer than that count as one, so a strip as nar
 _BLOCK_VALUES = 1_000_000
 
 
-class Neighbours(NamedTuple):
+@dataclass(frozen=True)
+class Neighbours:
     """Around each of P directions: `index` [P, k] of known ones, `weight` [P, k] that add up to 1, and `ratio` [P].
 
     `ratio` is z of the direction over z of the one that the weights stand for: 1 among the known ones, and beyond them
@@ -47,7 +49,7 @@ class Triangulation:
         centred = self.points - self.points.mean(axis=0)
         _, spread, axes = np.linalg.svd(centred, full_matrices=False)
         self._axis = axes[0]
-        self._cells = None
+        self._cells: Any = None  # scipy's Delaunay
         if len(known) > 2 and spread[1] > _COLLINEAR * spread[0]:
             from scipy.spatial import Delaunay
 

@@ -142,7 +142,7 @@ def images_of_files(source: Folder | Zip, listing: Listing) -> Pixels:
 
 def checksum(codes: np.ndarray, flags: np.ndarray) -> int:
     """Return the CRC-32 of an image's codes [3, H, W] and flags [H, W]."""
-    return zlib.crc32(np.ascontiguousarray(flags), zlib.crc32(np.ascontiguousarray(codes)))
+    return zlib.crc32(np.ascontiguousarray(flags).data, zlib.crc32(np.ascontiguousarray(codes).data))
 
 
 def decode_samples(

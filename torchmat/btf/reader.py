@@ -49,16 +49,24 @@ class Pixels:
 
 @dataclass(frozen=True)
 class Reader:
-    """One kind of measured data, by its `name`, which `load_btf` takes as `kind`.
+    """One kind of measured data.
 
-    ``sniff(source)`` tells, without decoding anything, whether a source is of this kind: a Folder or a Zip, or with
-    `one_file` a File, whose ``path`` is a file that holds everything. ``listing(source)`` gives the samples with their
-    directions, and ``pixels(source, listing)`` their images, in that order. Where several kinds fit, the one that was
-    registered first is taken. `version` goes up when the same file is read in another way: cached images are then
-    decoded anew (0 is for the kinds that change with the cache's own format).
+    What its functions raise comes to the user as an error that names the file and the reader; to refuse a file that is of
+    the kind but cannot be read as its maker meant it, raise DataError with `torchmat.errors.message`. Where several kinds
+    fit, the one that was registered first is taken.
 
-    What the three raise comes to the user as an error that names the file and the reader; to refuse a file that is of
-    the kind but cannot be read as its maker meant it, raise DataError with `torchmat.errors.message`.
+    Args:
+        name: what `load_btf` takes as `kind`.
+        description: one line on what it reads.
+        sniff: ``sniff(source)`` tells, without decoding anything, whether a source is of this kind: a Folder or a Zip, or
+            with
+            `one_file` a File, whose ``path`` is a file that holds everything.
+        listing: ``listing(source)`` gives the samples with their directions.
+        pixels: ``pixels(source, listing)`` gives their images, in that order.
+        one_file: whether a source is a file of its own kind instead of a folder or a zip.
+        version: goes up when the same file is read in another way: cached images are then decoded anew (0 is for the kinds
+            that change with the cache's own format).
+
     Raises RangeError when a function is missing.
     """
 
@@ -103,7 +111,10 @@ READERS: dict[str, Reader] = {}
 def register_reader(reader: Reader) -> Reader:
     """Add a kind of data to those that `load_btf` and all commands read; return the reader.
 
-    The built-in ones come the same way. Raises RangeError when the name is taken, or the reader is none.
+    Args:
+        reader: the kind. The built-in ones come the same way.
+
+    Raises RangeError when the name is taken, or the reader is none.
     """
     if not isinstance(reader, Reader):
         step = "Give Reader(name, description, sniff, listing, pixels)."

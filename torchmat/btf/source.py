@@ -176,9 +176,10 @@ class Zip:
     def _pieces(self, name: str) -> Iterator[bytes]:
         """Yield the content of one file; raises DataError when it is damaged or not as large as the archive says."""
         where, stated = f"{self.path}: {name}", self._members[name].file_size
-        came = 0
+        came, archive = 0, self._archive
+        assert archive is not None  # opened to list the members
         try:
-            with self._lock, self._archive.open(self._members[name]) as stream:
+            with self._lock, archive.open(self._members[name]) as stream:
                 # One byte more than promised tells a lie about the size without unpacking all of it.
                 while piece := stream.read(min(_PIECE, stated + 1 - came)):
                     came += len(piece)

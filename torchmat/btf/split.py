@@ -53,12 +53,19 @@ def _arc(btf: Btf) -> Split:
 
 
 def split_samples(btf: Btf, share: float = 0.2, by: str = "pair", seed: int = 0) -> Split:
-    """Hold out `share` of the pairs, of the lights or of the views (`by`), chosen by `seed`.
+    """Hold out some of the samples, so that a fit can be measured on what it never saw.
 
-    By light, every image under a held-out light is held out; by view alike. At least one group is held out and at
-    least one kept; `share` 0 holds out nothing. "arc" keeps what a shading map is photographed from, one view along the
-    normal under lights at azimuth 0, and holds out everything else, whatever `share` and `seed`, unless it is 0. Raises
-    RangeError when the data has only one such group, or fewer than two samples on the arc.
+    At least one group is held out and at least one kept.
+
+    Args:
+        btf: the images.
+        share: share of the groups to hold out, in [0, 1); 0 holds out nothing.
+        by: what a group is: "pair", "light" (every image under it) or "view"; "arc" keeps what a shading map is photographed
+            from, one view along the normal under lights at azimuth 0, and holds out everything else, whatever `share` and
+            `seed`, unless `share` is 0.
+        seed: chooses the groups, from 0.
+
+    Raises RangeError when the data has only one such group, or fewer than two samples on the arc.
     """
     where = "split_samples"
     check_option(where, "by", by, HOLDOUT_WAYS)

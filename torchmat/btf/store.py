@@ -33,7 +33,7 @@ class PixelStore:
         """Drop the mapped pages of `samples` from memory, so that a pass over a large file leaves no trace of itself."""
         for array in (self.pixels, self.flags):
             mapped = getattr(array, "_mmap", None)
-            if mapped is None or len(mapped) <= _RELEASE_BYTES or not hasattr(mmap, "MADV_DONTNEED"):
+            if array is None or mapped is None or len(mapped) <= _RELEASE_BYTES or not hasattr(mmap, "MADV_DONTNEED"):
                 continue
             row = array.strides[0]  # of the whole sample in the file, also where the array shows a window of it
             first = samples.start * row // mmap.PAGESIZE * mmap.PAGESIZE  # advice is given for whole pages
@@ -59,7 +59,7 @@ class PixelStore:
 
     def ends(self) -> tuple[float, float]:
         """Return the smallest and the largest code of all images."""
-        if self.low is None:
+        if self.low is None or self.high is None:
             return self.pixels.min(), self.pixels.max()
         return self.low.min(), self.high.max()
 

@@ -1,4 +1,4 @@
-"""The command line: torchmat fit, fit-many, render, compare, info, geometry, create."""
+"""The command line: torchmat fit, fit-many, models, render, compare, info, geometry, create."""
 
 from __future__ import annotations
 
@@ -12,12 +12,14 @@ from torchmat.cli.fit import Fit
 from torchmat.cli.fit_many import FitMany
 from torchmat.cli.geometry import Geometry
 from torchmat.cli.info import Info
+from torchmat.cli.models import Models
 from torchmat.cli.render import Render
 from torchmat.errors import TorchmatError
 
 _STYLE = (tyro.conf.FlagCreatePairsOff,)
 COMMANDS = {
-    "fit": Fit, "fit-many": FitMany, "render": Render, "compare": Compare, "info": Info, "geometry": Geometry, "create": Create,
+    "fit": Fit, "fit-many": FitMany, "models": Models, "render": Render, "compare": Compare, "info": Info,
+    "geometry": Geometry, "create": Create,
 }
 
 

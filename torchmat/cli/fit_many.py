@@ -15,14 +15,15 @@ from torchmat.cli.arguments import DataArguments
 class FitMany:
     """Fit many materials, or the tiles of a large one, on all cores or on a cluster (needs torchmat[dask])."""
 
-    config: Annotated[Path, tyro.conf.Positional]
-    """TOML config for all data, or with no data a TOML list of jobs: [[job]] with data, config, out, set."""
+    model: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="MODEL|CONFIG|JOBS")]
+    """As of torchmat fit, a model or a config for all data; or with no data a TOML list of jobs: [[job]] with data, config,
+    out, set."""
     data: Annotated[list[str], tyro.conf.Positional] = field(default_factory=list)
     """Folders or zips of images."""
     out: Path = Path("materials")
     """Folder in which each material gets a folder of its own, and the summary one called `summary`."""
     set: Annotated[list[str], tyro.conf.UseAppendAction] = field(default_factory=list)
-    """Override a key of the config, for example --set seed=3; may be repeated."""
+    """Set an option of the model or a key of a config, for example --set seed=3; may be repeated."""
     workers: int = 0
     """Local processes; 0 is one for each core."""
     scheduler: str | None = None
@@ -65,8 +66,8 @@ class FitMany:
             if self.set:
                 step = 'Write set = ["seed=3"] beside the config of a job.'
                 raise RangeError(message("fit-many", "--set", "override a config", "jobs have their own", step))
-            return load_jobs(self.config, self.out, read)
-        return jobs_of(self.data, load_config(self.config, self.set), self.out, read)
+            return load_jobs(self.model, self.out, read)
+        return jobs_of(self.data, load_config(self.model, self.set), self.out, read)
 
     def _run_tiles(self, jobs) -> None:
         from torchmat.errors import RangeError, message

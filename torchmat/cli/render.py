@@ -25,7 +25,7 @@ class Render:
     out: Path | None = None
     """Folder for the pictures (default: pictures/ inside the material folder, else in the current one)."""
     scene: Path | None = None
-    """Scene file (configs/scenes/teapot.toml): object, lights, camera and size, in place of the options below."""
+    """Scene file, or the name of one that ships (teapot.toml): object, lights, camera and size, in place of the options below."""
     mesh: list[str] = field(default_factory=list)
     """patch, quad, cube, sphere, torus, teapot, or mesh files; several (default: patch sphere)."""
     light: Annotated[list[_Direction], tyro.conf.UseAppendAction] = field(default_factory=list)

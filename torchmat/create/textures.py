@@ -69,9 +69,11 @@ def read_textures(found: TextureSet) -> dict[str, Tensor]:
 
     Raises ShapeError, which names the file, when one has another size than the colour.
     """
-    textures = {}
+    textures: dict[str, Tensor] = {}
     for kind in found.files:
         texture = found.read(kind, "auto" if kind == "color" else "linear")
+        if texture is None:
+            continue
         if kind in ("normalgl", "normaldx"):
             normal = _normal(texture, found.files[kind])
             textures["normal"] = normal if kind == "normalgl" else flip_green(normal)

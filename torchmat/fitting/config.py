@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -15,8 +15,9 @@ from torchmat.errors import RangeError, check_known_keys, check_option, message
 from torchmat.fitting.data_settings import DATA_KEYS, check_data_settings
 from torchmat.fitting.geometry import check_word, is_path
 from torchmat.fitting.recipe import recipe_of
-from torchmat.fitting.recipes import AUTO, resolve_options
+from torchmat.fitting.recipes import AUTO, RECIPES, default_options, resolve_options
 from torchmat.fitting.wanted import make_target
+from torchmat.shipped import find_file, shipped_names
 from torchmat.text_file import read_toml
 
 
@@ -24,11 +25,19 @@ from torchmat.text_file import read_toml
 class FitConfig:
     """Everything that decides a fit, apart from the data itself.
 
-    `options` are the model's; `geometry` is "flat", "recover", or the path of a height map; left out
-    it is the model's own way (`resolve_geometry`), and the model "auto" leaves the relief to the data;
-    `target` holds what `Target` does: the wanted error and budgets of the model "auto", and the seconds of any other;
-    `tile_size` is the side of the tiles of texels that are fitted one after the other and `memory_mb` what a fit may take,
-    0 is no wish for both; `data` are keywords of `load_btf`, used by the command line.
+    Args:
+        model: name of a registered model, or "auto" for the choice among them.
+        options: the model's options by name (`describe_model`); those left out have their defaults.
+        holdout: share of the samples that the fit never sees and is measured on, in [0, 1).
+        holdout_by: what is held out: "pair", "light", "view" or "arc" (`split_samples`).
+        seed: seed of the split and of the solvers, from 0.
+        geometry: "flat", "recover", or the path of a height map; None is the model's own way (`Recipe.geometry`), and
+            of the model "auto" leaves the relief to the data.
+        tiles: whether the surface repeats at its borders.
+        target: what is wanted: of "auto" `error` (relative), `psnr` (dB), `bytes` a texel; of any model `seconds`.
+        tile_size: side, in texels, of the tiles that are fitted one after the other; 0 is no wish.
+        memory_mb: what a fit may take, in MB, by tiles if need be; 0 is no wish.
+        data: keywords of `load_btf`, used by the command line.
     """
 
     model: str = "phong_srf"
@@ -100,15 +109,32 @@ def make_config(table: dict[str, Any], where: str = "config") -> FitConfig:
         raise RangeError(str(error) if where == "config" else f"{where}: {error}") from error
 
 
-def load_config(path: str | Path, overrides: list[str] | None = None) -> FitConfig:
-    """Read a TOML config; `overrides` are texts such as ``options.residual="half_light"`` or ``seed=3``.
+def load_config(name: str | Path, overrides: Sequence[str] = ()) -> FitConfig:
+    """Read a TOML config, or take a model with its defaults.
 
-    A value that is not TOML counts as a plain string. Raises DataError or RangeError, naming the file or the key.
+    Args:
+        name: a text with a suffix or a folder, or a Path, is a TOML file: as it stands, or where there is none, the
+            config of that name that ships with the package ("phong_srf_half_light.toml"). Every other text is the name
+            of a model, or "auto".
+        overrides: texts such as ``seed=3``, ``target.psnr=25``, ``options.terms=16`` or in short ``terms=16``: a key that
+            no config has is an option of the model. A value that is not TOML counts as a plain string.
+
+    Raises DataError or RangeError, naming the file or the key.
     """
-    table = read_toml(path, "the config")
-    for text in overrides or []:
+    if isinstance(name, Path) or is_config(name):
+        path = find_file(name)
+        table, where = read_toml(path, "the config"), str(path)
+    else:
+        check_option("fit", "model", name, (*RECIPES, AUTO, *shipped_names()))
+        table, where = {"model": name}, "config"
+    for text in overrides:
         _override(table, text)
-    return make_config(table, str(path))
+    return make_config(table, where)
+
+
+def is_config(name: object) -> bool:
+    """Return whether a text names the file of a config rather than a model."""
+    return isinstance(name, str) and (bool(Path(name).suffix) or len(Path(name).parts) > 1)
 
 
 def parse_value(text: str) -> Any:
@@ -122,9 +148,14 @@ def parse_value(text: str) -> Any:
 def _override(table: dict[str, Any], text: str) -> None:
     name, separator, value = text.partition("=")
     if not separator or not name.strip():
-        step = "For example --set options.residual=half_light."
+        step = "For example --set residual=half_light."
         raise RangeError(message("--set", repr(text), "be KEY=VALUE", "it has no key or no '='", step))
     *parents, key = name.strip().split(".")
+    fields = [field.name for field in dataclasses.fields(FitConfig)]
+    if not parents and key not in fields:
+        options = default_options(table.get("model", FitConfig.model))
+        check_known_keys("--set", [key], (*fields, *options))
+        parents = ["options"]
     for parent in parents:
         table = table.setdefault(parent, {})
         if not isinstance(table, dict):

@@ -11,6 +11,7 @@ from torch import Tensor
 
 from torchmat import frames
 from torchmat.btf import Btf, Split
+from torchmat.errors import NotMeasuredError, message
 from torchmat.metrics import SampleErrors
 from torchmat.models import Material
 from torchmat.models.edit import resized
@@ -41,9 +42,15 @@ def evaluate(
     material: Material, btf: Btf, indices: Tensor, most: int | None = None, progress: bool | None = False,
     perceptual: bool = True,
 ) -> Evaluation:
-    """Measure `material` against samples `indices` of `btf` (at most `most`, evenly chosen).
+    """Measure a material against samples of a BTF: errors pooled, by polar angle, and of each sample.
 
-    `perceptual` False leaves SSIM and CIEDE2000 out, which take most of the time.
+    Args:
+        material: the material; one that is smaller than the images, or a part of them, is brought to theirs.
+        btf: the images.
+        indices: numbers [n] of the samples, such as ``result.split.held_out``.
+        most: the most samples that are looked at, evenly chosen; None is all.
+        progress: whether to show a bar; None shows it on a terminal.
+        perceptual: whether to include SSIM and CIEDE2000, which take most of the time.
     """
     if most is not None and len(indices) > most:
         indices = indices[torch.linspace(0, len(indices) - 1, most).round().long()]
@@ -87,15 +94,37 @@ def sample_errors(
     return errors
 
 
+class NotMeasured(dict[str, Any]):
+    """The figures of a part that was not measured: an empty table, null in `report.json`, whose look-ups say why."""
+
+    def __init__(self, part: str, fact: str, step: str) -> None:
+        super().__init__()
+        self.why = message("fit", f"report[{part!r}]", "be measured", fact, step)
+
+    def __missing__(self, key: str) -> Any:
+        raise NotMeasuredError(self.why)
+
+    def __repr__(self) -> str:
+        return f"NotMeasured({self.why!r})"
+
+
+def nothing_measured() -> dict[str, Any]:
+    """Return what stands for the figures of each of SPLITS in a fit that was told not to measure."""
+    step = "Leave measure out, or measure now: tm.evaluate(result.material, btf, result.split.held_out).report."
+    return {part: NotMeasured(part, "measure=False left the errors out", step) for part in SPLITS}
+
+
 def evaluate_parts(
     btf: Btf, material: Material, split: Split, progress: bool | None = False
 ) -> tuple[dict[str, Any], Evaluation | None]:
-    """Return the figures of each of SPLITS, None for what is not held out, and what was measured on held-out samples."""
+    """Return the figures of each of SPLITS, NotMeasured without held-out samples, and what was measured on those."""
     report: dict[str, Any] = {"train": evaluate(material, btf, split.train, _TRAIN_SAMPLES, progress).report}
     held_out = evaluate(material, btf, split.held_out, None, progress) if len(split.held_out) else None
-    report["held_out"] = held_out.report if held_out else None
-    after = evaluate(material.as_exported(), btf, split.held_out, None, progress).report if held_out else None
-    report["held_out_after_export"] = after
+    if held_out is None:
+        step = "Give holdout=0.2; report['train'] has the errors on samples that the fit saw."
+        return report | {part: NotMeasured(part, "no samples are held out", step) for part in SPLITS[1:]}, None
+    report["held_out"] = held_out.report
+    report["held_out_after_export"] = evaluate(material.as_exported(), btf, split.held_out, None, progress).report
     return report, held_out
 
 

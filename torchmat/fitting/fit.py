@@ -17,7 +17,7 @@ from torchmat.btf import Btf, Split, split_samples
 from torchmat.errors import RangeError, message
 from torchmat.fitting.choice.choose import fit_auto
 from torchmat.fitting.config import FitConfig, load_config
-from torchmat.fitting.evaluate import SPLITS, evaluate, evaluate_parts, shading_rate
+from torchmat.fitting.evaluate import evaluate, evaluate_parts, nothing_measured, shading_rate
 from torchmat.fitting.from_material import check_free, fit_from, kept_names, onward_of
 from torchmat.fitting.geometry import AUTO_RELIEF, RECOVER, Geometry, resolve_geometry
 from torchmat.fitting.objective import described
@@ -43,10 +43,17 @@ _CURVE_SAMPLES = 400  # held-out ones that a curve is measured on; of a few, cha
 class FitResult:
     """What a fit gives back.
 
-    `report` is what `report.json` holds; `coverage` [1, H, W] the share of the unknowns that each texel's samples
-    determine (None where it has no meaning); `held_out_errors` [m] the display error of each held-out sample;
-    `relief` the geometry that was recovered and used; `history` (seconds, error) as the fit went on: of an iterative
-    solver in its own terms, or with `curve` the relative error on held-out samples.
+    Args:
+        material: the material, ready to shade, save and render.
+        stop_reason: why the solver stopped, such as "converged", "step limit" or "budget spent".
+        report: what `report.json` holds: bytes, seconds, and the errors under "train", "held_out" and
+            "held_out_after_export".
+        split: the numbers of the samples that were fitted and held out.
+        coverage: [1, H, W], the share of the unknowns that each texel's samples determine; None where it has no meaning.
+        held_out_errors: [m], the display error of each held-out sample; None if nothing was measured.
+        relief: the geometry that was recovered and used; None on a flat surface or a given height.
+        history: (seconds, error) as the fit went on: of an iterative solver in its own terms, or with `curve` the relative
+            error on held-out samples.
     """
 
     material: Material
@@ -82,28 +89,39 @@ def fit(
     progress: bool | None = None,
     **options: Any,
 ) -> FitResult:
-    """Fit a material to `btf` and measure it on samples that it never saw.
+    """Fit a material to a BTF and measure it on samples that it never saw.
 
-    `model` is a name, a FitConfig, the path of a TOML config, or a material: an instance of any Material, registered or
-    not, whose maps then descend from what they are by `solver` ("minibatch", "adam" or "lbfgs"), so many `steps` at
-    `rate`, those named in `keep` staying to the bit; a height and its ambient light stay as they are. `holdout` is the
-    share of samples held out (0.2), `holdout_by` "pair", "light", "view" or "arc" (`split_samples`); both, `seed` (0),
-    `geometry`, `tiles` and the model's `options` (named as in the README) override the config's. `geometry` "flat"
-    takes texels for what they seem; "recover" finds height and normals from the training samples and puts the
-    model on that relief, with parallax, shadow and ambient light, if that makes it better; a height map [1, H, W] in
-    texture widths over the plane of the images, or the path of one, is taken as it is.
-    Left out it is the model's own way (`Recipe.geometry`): "recover" for "distribution" and "neural", where there is anything to
-    recover it from, and "flat" for most. `tiles` False says that the
-    surface does not repeat at its borders (True). `dtype` float64 runs the same code in double precision. `measure`
-    False leaves the errors out of the report, which takes most of the time of a closed-form fit. Deterministic for a
-    seed.
+    Deterministic for a seed, unless seconds stop it. What is None here is as the config says, or has its usual value.
 
-    The model "auto" is the choice among all: the smallest material whose relative `error` or `psnr` (dB) on held-out
-    samples is as wanted, or the best within so many `bytes` a texel and `seconds`; see `fitting.choice.choose`. Of any
-    other model `seconds` stops an iterative solver, with the best so far. `scene`, a Scene or a list of them, fits only
-    the texels, lights and views that it uses, weighted as it uses them; the report then says what that saves and costs.
-    `tile_size` texels on a side are fitted at a time, or as many as `memory_mb` allows; finished tiles are kept in the
-    folder `work`, where a run that was killed goes on. `curve` records the held-out error against seconds as `history`.
+    Args:
+        btf: the images, from `load_btf` or `Btf.from_tensors`.
+        model: name of a model (`describe_models` lists them), "auto", a FitConfig, a TOML config (`load_config`), or a
+            material: an instance of any Material, registered or not, whose maps then descend from what they are; a height
+            and its ambient light stay as they are.
+        holdout: share of the samples held out, in [0, 1); usually 0.2.
+        holdout_by: what is held out: "pair" (usual), "light", "view" or "arc" (`split_samples`).
+        seed: seed of the split and of the solver, from 0; usually 0.
+        geometry: "flat" takes texels for what they seem; "recover" finds height and normals from the training samples and
+            puts the model on that relief, with parallax, shadow and ambient light, if that makes it better; a height map
+            [1, H, W] in texture widths over the plane of the images, or the path of one, is taken as it is. None is the
+            config's, or the model's own way (`Recipe.geometry`): "recover" for "distribution" and "neural", where there is
+            anything to recover it from, and "flat" for most.
+        tiles: whether the surface repeats at its borders; usually True.
+        error, psnr: of "auto", the relative error or the dB on held-out samples that the smallest material must reach.
+        bytes: of "auto", the most bytes a texel, shared tables included.
+        seconds: what the fit may take; an iterative solver then stops with the best so far.
+        scene: a Scene or several: fit only the texels, lights and views that they use, weighted as they use them; the report
+            then says what that saves and costs.
+        tile_size: texels on a side that are fitted at a time; None is all, or as many as `memory_mb` allows.
+        memory_mb: what the fit may take, in MB.
+        work: folder that keeps finished tiles, where a run that was stopped goes on.
+        curve: whether to record the held-out error against seconds as `history`.
+        dtype: torch.float32, or torch.float64 for the same code in double precision.
+        measure: whether the report has errors; measuring takes most of the time of a closed-form fit.
+        progress: whether to show a bar; None shows it on a terminal.
+        options: the model's options, such as ``terms=16`` (`describe_model`), its `solver`, a name or an object such as
+            ``Adam(steps=100)``, and its `objective`; of a material `solver`, `steps`, `rate`, `objective`, and `keep`, the
+            names of maps that stay to the bit.
 
     Raises RangeError for unknown models or options, FitError when the data cannot determine the model.
     """
@@ -127,7 +145,7 @@ def fit(
         fitted = task.run(training)
         watch.note(lambda: fitted.material)
     seconds = watch.seconds
-    errors, held_out = evaluate_parts(btf, fitted.material, split, progress) if measure else (dict.fromkeys(SPLITS), None)
+    errors, held_out = evaluate_parts(btf, fitted.material, split, progress) if measure else (nothing_measured(), None)
     used = task.options if fitted.options is None else fitted.options
     ways = {"options": described(used), "geometry": task.geometry}
     report = {**_described(btf, config, fitted), **ways, "fit_seconds": seconds, **errors, "curve": watch.history}
@@ -236,9 +254,7 @@ def _held_out_error(btf: Btf, split: Split) -> Callable[[Material], float]:
 def _resolve(
     model: str | Path | FitConfig, given: dict[str, Any], wanted: dict[str, Any], options: dict[str, Any]
 ) -> FitConfig:
-    if isinstance(model, Path) or (isinstance(model, str) and model.endswith(".toml")):
-        model = load_config(model)
-    base = model if isinstance(model, FitConfig) else FitConfig(model=model)
+    base = model if isinstance(model, FitConfig) else load_config(model)
     given, wanted = ({name: value for name, value in table.items() if value is not None} for table in (given, wanted))
     return dataclasses.replace(base, **given, target={**base.target, **wanted}, options={**base.options, **options})
 

@@ -97,18 +97,31 @@ class Tiling:
 class Recipe:
     """A model's fit and all that relief, tiles, choice, comparison and memory need to know of it.
 
-    Either `fit` or `start` is given. ``fit(training, *, ...) -> Fitted`` is the model's own way on a flat surface: its
-    keywords are the model's options, and `solvers` names what it does, the default first. ``start(training, *, ...) ->
-    Material`` gives maps from which the solvers of all models (adam, minibatch, lbfgs) descend.
+    Either `fit` or `start` is given. What each option means stands in its docstring, in a section "Args:"
+    (`describe_model`).
 
-    `descends` says that those solvers serve as well, from what `fit` makes of few samples; without it `solvers` are all
-    there are. `objective` is what the fit makes small, which those solvers then do too unless they are asked for another;
-    a fit that takes any has a keyword of that name. `on_relief` (surface, height, options) fits shadow and ambient
-    itself, or returns None for options that take the way of all models; those of `rungs` it must take. `geometry`, "flat"
-    or "recover", is what a fit takes the surface for where nothing else is asked. `shared` is the class of what its fit
-    says that all texels have in common. `quick` are options of the fit that says what a relief is worth, `rungs` the candidates
-    of the automatic choice, `ladder` how it is built part by part there. `compared` are the options of its rows in a comparison ("terms=9"; empty is none), and
-    `solvers_differ` adds a row for each further solver, where none is the obvious one.
+    Args:
+        material: the class, whose `name` is the model's.
+        fit: ``fit(training, *, ...) -> Fitted``, the model's own way on a flat surface; its keywords are the model's
+            options.
+        start: ``start(training, *, ...) -> Material``, maps from which the solvers of all models (adam, minibatch, lbfgs)
+            descend.
+        solvers: what `fit` does, the default first.
+        descends: whether the solvers of all models serve as well, from what `fit` makes of few samples; without it `solvers`
+            are all there are.
+        objective: what the fit makes small, which those solvers then do too unless they are asked for another; a fit that
+            takes any has a keyword of that name.
+        on_relief: ``on_relief(surface, height, *, ...)`` fits shadow and ambient light itself, or returns None for options
+            that take the way of all models; those of `rungs` it must take.
+        geometry: "flat" or "recover": what a fit takes the surface for where nothing else is asked.
+        quick: options of the fit that says what a relief is worth.
+        tiling: how the model is fitted tile by tile, and what memory that takes.
+        shared: the class of what its fit says that all texels have in common.
+        rungs: candidates of the automatic choice.
+        ladder: how the choice builds the model part by part; None if it does not.
+        compared: options of its rows in a comparison ("terms=9"; empty is none).
+        solvers_differ: whether a comparison has a row for each further solver, where none is the obvious one.
+        bytes_per_texel: what the maps take by default, in words, for lists of models; empty where unknown.
     """
 
     material: type[Material]
@@ -126,6 +139,7 @@ class Recipe:
     ladder: Ladder | None = None
     compared: tuple[str, ...] = ("",)
     solvers_differ: bool = False
+    bytes_per_texel: str = ""
 
     def __post_init__(self) -> None:
         where = "Recipe"
@@ -148,6 +162,11 @@ class Recipe:
         return self.material.name
 
     @property
+    def way(self) -> Callable[..., Any]:
+        """The function whose keywords are the model's options: `fit` or `start`."""
+        return self.fit or self.start
+
+    @property
     def all_solvers(self) -> tuple[str, ...]:
         """Every solver that may be asked for, the default first."""
         if self.fit is None:
@@ -157,7 +176,7 @@ class Recipe:
     @property
     def options(self) -> dict[str, Any]:
         """The model's options and their defaults: the keywords of its fit or start, the solver and the objective."""
-        parameters = inspect.signature(self.fit or self.start).parameters.values()
+        parameters = inspect.signature(self.way).parameters.values()
         own = {p.name: p.default for p in parameters if p.kind is inspect.Parameter.KEYWORD_ONLY}
         more = {"steps": 0, "rate": 0.0} if self.fit is None else {}
         return {**own, **more, "solver": self.all_solvers[0], "objective": self.objective}
@@ -242,7 +261,10 @@ RECIPES: dict[str, Recipe] = {}
 def register(recipe: Recipe) -> Recipe:
     """Add a model to those that `fit`, `compare`, folders and pictures know by name; return the recipe.
 
-    The built-in models come the same way. Raises RangeError when the name is taken, or the recipe is none.
+    Args:
+        recipe: the model's material and fit. The built-in models come the same way.
+
+    Raises RangeError when the name is taken, or the recipe is none.
     """
     if not isinstance(recipe, Recipe):
         step = "Give Recipe(material=..., start=...) or Recipe(material=..., fit=...)."

@@ -45,14 +45,26 @@ def refit(
     effort: float = 1.0, objective: str | Residual | None = None, holdout: float = 0.2, holdout_by: str = "pair",
     seed: int = 0, progress: bool | None = None,
 ) -> Refit:
-    """Fit the maps of a material that are not in `keep` anew, starting from what they hold.
+    """Fit the maps of a material that are not kept anew, starting from what they hold.
 
-    Kept maps have the same bits in the result, as have those that no fit finds anew (`tilt`, the directions of a table).
-    `solver` is Minibatch, Adam or LBFGS, or its name; `steps` are as many as it takes in all, and `effort` multiplies
-    what is usual. `objective` is that of the model's own fit unless it is given. A height that is not kept moves along,
-    and stays where that makes nothing better. `holdout`, `holdout_by` and `seed` choose the samples that are measured
-    and never fitted: give those of the first fit, or it has seen them. When the new maps are no better on the training
-    samples, the old ones are returned.
+    A height that is not kept moves along, and stays where that makes nothing better. When the new maps are no better on the
+    training samples, the old ones are returned.
+
+    Args:
+        btf: the images, in the material's size.
+        material: the material, painted over or not.
+        keep: names of maps that have the same bits in the result, as have those that no fit finds anew (`tilt`, the
+            directions of a table).
+        solver: Minibatch, Adam or LBFGS, or its name; None is Minibatch.
+        steps: as many as it takes in all, at least 1; None is as usual.
+        effort: factor on the usual number of steps, above 0.
+        objective: "linear", "display" or a callable residual(predicted, target, weight); None is that of the model's own
+            fit.
+        holdout: share of the samples that are measured and never fitted, in [0, 1); give that of the first fit, and its
+            `holdout_by` and `seed`, or it has seen them.
+        holdout_by: "pair", "light", "view" or "arc" (`split_samples`).
+        seed: seed of the split and of the solver, from 0.
+        progress: whether to show a bar; None shows it on a terminal.
 
     Raises RangeError for unknown names or nothing to fit, ShapeError when the sizes differ.
     """

@@ -30,7 +30,7 @@ def load_height(path: str | Path) -> Tensor:
         raise DataError(message(str(path), "a height map", "have one channel", fact, "Save it as a grey picture."))
     height = torch.from_numpy(pixels.astype(np.float32)).permute(2, 0, 1)
     if np.issubdtype(pixels.dtype, np.integer):
-        if low is None:
+        if low is None or high is None:
             step = "Give the folder that holds its relief.json, or a floating-point image in texture widths."
             raise DataError(message(str(path), "the range of its codes", "be known", f"they are {pixels.dtype}", step))
         height = low + height * ((high - low) / np.iinfo(pixels.dtype).max)

@@ -42,7 +42,7 @@ def frankot_chellappa(slopes: Tensor, tiles: bool = True) -> Tensor:
         x = torch.cat((x, x.flip(0)), dim=0)
         y = torch.cat((y, y.flip(1)), dim=1)
         y = torch.cat((y, -y.flip(0)), dim=0)
-    across, up = _frequencies(*x.shape, x.dtype)
+    across, up = _frequencies(x.shape[0], x.shape[1], x.dtype)
     power = across**2 + up**2
     power[0, 0] = 1
     spectrum = -1j * (across * torch.fft.fft2(x) + up * torch.fft.fft2(y)) / power
@@ -104,7 +104,7 @@ def poisson(
     def apply(height: Tensor) -> Tensor:
         return _adjoint(share * _differences(height, tiles), tiles) + pull * height
 
-    precondition = _laplace_inverse(tiles, *size, float(pull.mean() / share.mean()))
+    precondition = _laplace_inverse(tiles, size[0], size[1], float(pull.mean() / share.mean()))
     found = known + _conjugate_gradients(apply, right + pull * known - apply(known), precondition)
     # The mean costs no slope: where the anchor is weak it hardly shows in the residual, so it is solved for by itself.
     found = found + (pull * (known - found)).sum() / total

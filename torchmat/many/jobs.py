@@ -10,9 +10,11 @@ from typing import Any
 
 from torchmat.errors import DataError, RangeError, check_known_keys, message
 from torchmat.fitting import FitConfig, load_config
+from torchmat.fitting.config import is_config
 from torchmat.fitting.objective import described
 from torchmat.fitting.recipes import AUTO, resolve_options
 from torchmat.report.tables import to_json
+from torchmat.shipped import find_file
 from torchmat.text_file import read_toml
 
 _KEYS = ("data", "config", "out", "set")
@@ -69,7 +71,7 @@ def jobs_of(
 def load_jobs(path: str | Path, out: str | Path, read: Mapping[str, Any] | None = None) -> list[Job]:
     """Read a TOML list of jobs: tables ``[[job]]`` with `data`, `config`, and if wanted `out` and `set`.
 
-    Paths are relative to the file; `out` is a folder within the given one, by default called as the data is; `set`
+    Paths are relative to the file, and `config` may be the name of a model as well; `out` is a folder within the given one, by default called as the data is; `set`
     lists what overrides the config, such as ``"seed=3"``. Raises DataError or RangeError, naming the file or the job.
     """
     path = Path(path)
@@ -95,7 +97,8 @@ def _job(where: str, row: dict[str, Any], folder: Path, out: Path, read: Mapping
     name = row.get("out", data.name.removesuffix(".zip"))
     if not isinstance(name, str):
         raise RangeError(message(where, "out", "be a path", f"it is {name!r}"))
-    return Job(data, load_config(folder / row["config"], overrides), out / name, read)
+    config = find_file(row["config"], folder=folder) if is_config(row["config"]) else row["config"]
+    return Job(data, load_config(config, overrides), out / name, read)
 
 
 def checked(jobs: list[Job]) -> list[Job]:

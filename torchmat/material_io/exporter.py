@@ -26,8 +26,10 @@ LOSS_FORMAT = "torchmat-loss"
 class Losses:
     """What became of a material's parts (maps, options, relief ...) in an export.
 
-    `exact` names those that come back as they were, `approximated` and `lost` say of each part how far it is off or why
-    it has no place.
+    Args:
+        exact: names of the parts that come back as they were.
+        approximated: of each part that does not, how far it is off.
+        lost: of each part that has no place there, why.
     """
 
     exact: tuple[str, ...] = ()
@@ -80,15 +82,21 @@ def _read_files(path: Path) -> set[str]:
 
 @dataclass(frozen=True)
 class Exporter:
-    """One way to write a material, by its `name`.
+    """One way to write a material.
 
-    ``write(material, path, *, ...) -> Losses`` fills the empty folder `path`, or with a `suffix` (".glb") writes the
-    file `path`; its keywords are the options of the export, and one called `provenance` takes where the material comes
-    from. What it writes appears whole or not at all, and its errors name the user's path. `material.textures()` and
-    `material.numbers()` give all that a material holds, `material.maps` the maps in full size.
+    Args:
+        name: what `export` calls it.
+        description: one line on what it writes.
+        write: ``write(material, path, *, ...) -> Losses`` fills the empty folder `path`, or with a `suffix` writes the file
+            `path`; its keywords are the options of the export, and one called `provenance` takes where the material comes
+            from. What it writes appears whole or not at all, and its errors name the user's path. `material.textures()` and
+            `material.numbers()` give all that a material holds, `material.maps` the maps in full size.
+        suffix: of the file that it writes, such as ".glb"; None writes a folder.
+        known: ``known(folder)`` returns which files there are an earlier export's, and may be replaced: by default those
+            that
+            its ``loss.json`` lists.
 
-    `known` (folder) returns which files there are an earlier export's, and may be replaced: by default those that its
-    ``loss.json`` lists. Raises RangeError when a part is missing or is not what it must be.
+    Raises RangeError when a part is missing or is not what it must be.
     """
 
     name: str
@@ -148,7 +156,10 @@ EXPORTERS: dict[str, Exporter] = {}
 def register_exporter(exporter: Exporter) -> Exporter:
     """Add a way to write materials to those that `export` and `save_material` know; return the exporter.
 
-    The built-in ones come the same way. Raises RangeError when the name or the suffix is taken, or it is no Exporter.
+    Args:
+        exporter: the way. The built-in ones come the same way.
+
+    Raises RangeError when the name or the suffix is taken, or it is no Exporter.
     """
     where = "register_exporter"
     if not isinstance(exporter, Exporter):

@@ -130,12 +130,18 @@ def save_material(
     material: Material, folder: str | Path, provenance: dict[str, Any] | None = None,
     companions: Callable[[Path], None] | None = None,
 ) -> Path:
-    """Write `material` as a folder that appears whole or not at all; return its path.
+    """Write a material as a folder that appears whole or not at all; return its path.
 
-    A path that ends in the suffix of an exporter, such as ``.3pm``, gets that file and nothing else; `export` says
-    beside it what the file cannot hold. A material that stands there is replaced in one step; a folder that holds
-    anything else is refused, so that no file of the user's is lost. `companions` may write more (report, pictures) into
-    the folder before it appears.
+    A material that stands there is replaced in one step; a folder that holds anything else is refused, so that no file of
+    the user's is lost.
+
+    Args:
+        material: what to write.
+        folder: where; a path that ends in the suffix of an exporter, such as ``.3pm``, gets that file and nothing else;
+            `export` says beside it what the file cannot hold.
+        provenance: what the manifest says of where the material comes from, as JSON has it; None is nothing.
+        companions: called with the folder before it appears, to write more into it (report, pictures).
+
     Raises DataError when the folder cannot be written, RangeError when a map cannot be stored.
     """
     target = Path(folder)
@@ -281,12 +287,16 @@ def _read_numbers(manifest: dict[str, Any], stored: dict[str, StoredAs]) -> dict
 
 
 def load_material(path: str | Path) -> Material:
-    """Return the material of a folder, exactly as its textures hold it, or of a ``.3pm`` file (`read_volume`).
+    """Return the material of a folder or file, exactly as its textures hold it.
 
     Textures may have been painted over, in 8 or 16 bits; one that is stored small may be painted in its small size or
-    in that of the material, which it is stored in from then on. Numbers may be edited in the manifest. Raises DataError,
-    naming the file, when a texture is missing, has another size or leaves its range, or when the manifest's version is
-    unknown.
+    in that of the material, which it is stored in from then on. Numbers may be edited in the manifest.
+
+    Args:
+        path: a material folder, or a ``.3pm`` file (`read_volume`).
+
+    Raises DataError, naming the file, when a texture is missing, has another size or leaves its range, or when the
+    manifest's version is unknown.
     """
     if is_volume(path):
         return read_volume(path)

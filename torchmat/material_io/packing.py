@@ -60,11 +60,17 @@ class Packed:
 
 
 def pack(material: Material, folder: str | Path, depth: int = 8, provenance: dict[str, Any] | None = None) -> Path:
-    """Write `material` as packed textures that appear whole or not at all; return the folder.
+    """Write a distribution material as packed textures that appear whole or not at all; return the folder.
 
-    `depth` is 8 or 16 bits a channel; specular maps are half floats and the tilt has 16 bits in both. What stands in
-    the folder is replaced if it was packed before, else refused. Raises RangeError for a model other than the
-    distribution material and for maps that cannot be stored, DataError when the folder cannot be written.
+    Specular maps are half floats and the tilt has 16 bits at either depth.
+
+    Args:
+        material: a distribution material.
+        folder: where; what stands there is replaced if it was packed before, else refused.
+        depth: bits a channel, 8 or 16.
+        provenance: what the manifest says of where the material comes from, as JSON has it; None is nothing.
+
+    Raises RangeError for another model and for maps that cannot be stored, DataError when the folder cannot be written.
     """
     target = Path(folder)
     atomic.refuse_foreign(target, _known_files(target), "a packed material")
@@ -129,7 +135,7 @@ def unpack(folder: str | Path) -> Distribution:
         raise DataError(message(str(path), "the description", "describe a packed material", fact, step)) from error
 
 
-def _settings(material: Distribution) -> dict[str, Any]:
+def _settings(material: Material) -> dict[str, Any]:
     found = {"model": material.name, "options": material.options, "tiles": material.tiles, "storage": material.storage}
     return found if material.cutout is None else found | {"cutout": material.cutout.as_table()}
 

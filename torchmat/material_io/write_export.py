@@ -23,16 +23,22 @@ def export(
     material: Material, path: str | Path, to: str | None = None, *, provenance: Mapping[str, Any] | None = None,
     **options: Any,
 ) -> Losses:
-    """Write `material` to `path` in another form, with its losses beside it; return them.
+    """Write a material in another form, with its losses beside it; return them.
 
-    `to` is the name of an exporter (a key of EXPORTERS: "folder", "3pm", "packed", or a registered one); None takes the
-    one that the suffix of `path` names. `options` are those of the exporter. A folder gets a ``loss.json`` inside, a
-    file ``NAME.loss.json`` beside it: exporter, options, files, and which parts are exact, approximated and lost.
-    `provenance` says where the material comes from, and is kept there.
+    A folder gets a ``loss.json`` inside, a file ``NAME.loss.json`` beside it: exporter, options, files, and which parts are
+    exact, approximated and lost. What appears at `path` appears whole or not at all, and replaces an earlier export of the
+    same kind; anything else that stands there is refused.
 
-    What appears at `path` appears whole or not at all, and replaces an earlier export of the same kind; anything else
-    that stands there is refused. Raises RangeError for unknown names and options and for what the form cannot hold,
-    DataError when `path` cannot be written.
+    Args:
+        material: what to write.
+        path: the folder or file to write.
+        to: name of an exporter (a key of EXPORTERS: "folder", "3pm", "packed", or a registered one); None takes the one that
+            the suffix of `path` names.
+        provenance: where the material comes from, as JSON has it, which is kept there; None is nothing.
+        options: those of the exporter.
+
+    Raises RangeError for unknown names and options and for what the form cannot hold, DataError when `path` cannot be
+    written.
     """
     exporter, target = chosen_exporter(path, to), Path(path)
     check_known_keys(f"export to {exporter.name}", options, exporter.options)

@@ -22,17 +22,22 @@ from torchmat.repeatable import wide_product
 class Material(Storable):
     """A surface whose appearance is held by texture maps.
 
-    `maps` are parameters: [C, H, W] per texel, [C, rows, columns] for shared tables, [C] for constants, as `specs`
-    declares. `storage` names how textures are stored (a key of STORAGES); `stored` says which maps are stored smaller
-    or in another way, by name (`stored_at`); `tiles` whether the surface repeats; `cutout` which part of a larger
-    texture the maps are, None for all of it.
-    Subclasses add keyword options, kept in `options`, and implement `own_specs` and `value`. Every model may have two
-    more maps: `height` [1, H, W], in texture widths over the plane of the images, puts the surface on a relief with
-    parallax and shadow, and `ambient` [3, H, W] is the light that reaches a texel there by way of others.
+    Subclasses add keyword options, kept in `options`, and implement `own_specs` and `value`. Every model may have two more
+    maps: `height` [1, H, W], in texture widths over the plane of the images, puts the surface on a relief with parallax and
+    shadow, and `ambient` [3, H, W] is the light that reaches a texel there by way of others.
+
+    Args:
+        maps: the parameters by name: [C, H, W] per texel, [C, rows, columns] for shared tables, [C] for constants, with the
+            ranges that `specs` declares.
+        storage: how textures are stored: "half", "float", "png8", "png16", "tiff8" or "tiff16".
+        tiles: whether the surface repeats.
+        stored: maps that are stored smaller or in another way, by name (`stored_at`); None is none.
+        cutout: which part of a larger texture the maps are; None is all of it.
+        options: what the subclass asks for.
     """
 
     name: ClassVar[str]
-    isotropic: ClassVar[bool] = False
+    isotropic: bool = False
     reciprocal: ClassVar[bool] = False
 
     def __init__(
@@ -161,7 +166,7 @@ class Material(Storable):
         if not self.has_relief:
             return self.at(uv).shade(light, view)
         self._check_uv("shade_at", uv)
-        self._check_directions(light, view, tuple(uv.shape[-2:]))
+        self._check_directions(light, view, (uv.shape[-2], uv.shape[-1]))
         return shade_points(self, self._placed(uv).to(self.dtype), light, view)
 
     def _shade_flat(self, light: Tensor, view: Tensor) -> Tensor:
@@ -230,7 +235,7 @@ class Material(Storable):
         """
         return self._unchecked(dict(maps), _parts=(), stored={}, cutout=None)
 
-    def _unchecked(self, maps: dict[str, Tensor], **fields: Any) -> Self:
+    def _unchecked(self, maps: dict[str, Tensor] | nn.ParameterDict, **fields: Any) -> Self:
         """Return a material that differs from this one in these maps and fields: neither checked nor copied."""
         other = type(self).__new__(type(self))
         nn.Module.__init__(other)

@@ -37,7 +37,7 @@ def blend(first: Material, second: Material, weight: float | Tensor, filter: str
         return first if float(weight) == 0 else second
     first = first.stored_at(dict.fromkeys(first.stored.keys() - _stored_alike(first, second, weight)))
     maps = _relief(first, second, weight)
-    if isinstance(first, Distribution):
+    if isinstance(first, Distribution) and isinstance(second, Distribution):
         return _blend_distributions(first, second, weight, maps)
     for spec in first.own_specs():
         one, other = first.maps[spec.name].detach(), second.maps[spec.name].detach()
@@ -63,7 +63,7 @@ def _mix_vectors(name: str, one: Tensor, other: Tensor, weight: Tensor) -> Tenso
     """Interpolate normals by slopes and rotations as vectors; the ends keep their bits."""
     if name == "normal":
         slopes = [slopes_from_normals(safe.normalise(normal)) for normal in (one, other)]
-        found = normals_from_slopes(mix(*slopes, weight))
+        found = normals_from_slopes(mix(slopes[0], slopes[1], weight))
     else:
         found = mix(safe.normalise(one), safe.normalise(other), weight)
         # Halfway between opposite directions there is none: the nearer end stands in.
@@ -149,7 +149,7 @@ def _blend_distributions(
     masks = _masks(first, second)
     for name in parts:
         if name == "specular_mask":
-            maps[name] = mix(*masks, weight)
+            maps[name] = mix(masks[0], masks[1], weight)
             continue
         one, other = (_part(side, name) for side in (first, second))
         if name == "tilt" and not torch.equal(one, other):
@@ -192,7 +192,7 @@ def _lobes(
     else:
         one, other = ((1 - weight).expand(1, *first.size), weight.expand(1, *first.size))
         if len(masks[0]) == 1:
-            between = mix(*masks, weight)
+            between = mix(masks[0], masks[1], weight)
             there = between >= torch.finfo(between.dtype).tiny
             one = torch.where(there, safe.divide(one * masks[0], between), one)
             other = torch.where(there, safe.divide(other * masks[1], between), other)

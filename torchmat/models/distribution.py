@@ -89,7 +89,7 @@ class Distribution(Material):
             check_option(self.name, "parts", part, DISTRIBUTION_PARTS)
         chosen = [part for part in DISTRIBUTION_PARTS if part in parts]
         self._kept_frame: tuple[list[Tensor], list[tuple], tuple[Tensor, Tensor | None]] | None = None
-        options = {"lobes": lobes, "parts": chosen, "mask_channels": mask_channels, "fresnel_exponent": fresnel_exponent}
+        options: dict[str, Any] = {"lobes": lobes, "parts": chosen, "mask_channels": mask_channels, "fresnel_exponent": fresnel_exponent}
         super().__init__(maps, **options, **settings)
         self._check_tables()
 
@@ -169,10 +169,11 @@ class Distribution(Material):
         # `material.double()` puts other data into the same parameters, of the same version.
         versions = [(tensor._version, tensor.data_ptr(), tensor.dtype) for tensor in sources]
         known = self._kept_frame
-        same = known is not None and known[1] == versions and all(a is b for a, b in zip(known[0], sources, strict=True))
-        if not same:
-            self._kept_frame = known = (sources, versions, self._make_frame())
-        return known[2]
+        if known and known[1] == versions and all(a is b for a, b in zip(known[0], sources, strict=True)):
+            return known[2]
+        frame = self._make_frame()
+        self._kept_frame = (sources, versions, frame)
+        return frame
 
     def _make_frame(self) -> tuple[Tensor, Tensor | None]:
         if "normal" in self.maps:

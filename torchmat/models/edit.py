@@ -6,6 +6,7 @@ Materials are never changed in place: each function returns a new one.
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import TypeVar
 
 import torch
 from torch import Tensor
@@ -21,26 +22,27 @@ __all__ = [
     "FILTERS", "VECTORS", "add_part", "drop_part", "neutral_part", "replace_map", "resample", "resized", "with_options",
     "without_idle_parts",
 ]
+_Edited = TypeVar("_Edited", bound=Material)
 
 
-def resized(material: Material, size: tuple[int, int], filter: str = "bilinear") -> Material:
+def resized(material: _Edited, size: tuple[int, int], filter: str = "bilinear") -> _Edited:
     """Return `material` with maps of `size` (height, width) texels; tables that all texels share stay as they are."""
     if min(size) < 1:
         raise RangeError(message("resized", "size", "be two positive numbers", f"it is {tuple(size)}"))
     changed = {
-        spec.name: resample_map(spec, material.maps[spec.name].detach(), tuple(size), filter, material.tiles)
+        spec.name: resample_map(spec, material.maps[spec.name].detach(), (size[0], size[1]), filter, material.tiles)
         for spec in material.specs() if spec.per_texel and not spec.constant
     }
     small = {
-        name: replace(one, size=tuple(map(min, one.size, size)))
+        name: replace(one, size=(min(one.size[0], size[0]), min(one.size[1], size[1])))
         for name, one in material.stored.items() if one.size is not None
     }
     return material.stored_at(dict.fromkeys(small)).with_maps(**changed).stored_at(small)
 
 
 def replace_map(
-    material: Material, name: str, value: Tensor, filter: str = "bilinear", normalise_index: bool = True
-) -> Material:
+    material: _Edited, name: str, value: Tensor, filter: str = "bilinear", normalise_index: bool = True
+) -> _Edited:
     """Return `material` with the map `name` replaced by `value` [C, h, w], brought to the material's size.
 
     `filter` is "bilinear", "nearest" or "area" (see `resample`). Normals and rotations become unit vectors. The weights

@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from torchmat.errors import RangeError, ShapeError, message
 from torchmat.models.angular import neighbour_weights, pairs
@@ -24,7 +24,7 @@ def _positive(where: str, name: str, value: int) -> None:
         raise RangeError(message(where, name, "be a whole number of at least 1", f"it is {value!r}"))
 
 
-def _check_table(where: str, maps: Mapping[str, Tensor], name: str, rows: int) -> None:
+def _check_table(where: str, maps: nn.ParameterDict, name: str, rows: int) -> None:
     """Raise ShapeError unless table `name` has `rows` rows and a column for each measured direction."""
     shape, columns = tuple(maps[name].shape[1:]), maps["directions"].shape[-1]
     if shape != (rows, columns) or maps["directions"].shape[1] != 1:

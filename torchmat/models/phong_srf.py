@@ -21,7 +21,7 @@ RESIDUALS = ("half", "half_light", "quadratic", "cosine")
 
 
 class PhongSrf(Material):
-    """Phong + residual.
+    """Phong + residual: one lobe for all texels, and a few numbers of each (Ma et al. 2004).
 
     `residual` names the family: "half" (the paper's, 9 numbers a texel), "half_light" (21), "quadratic" (45) or "cosine"
     (3: a colour times the light's cosine, a texture under the lobe);

@@ -38,7 +38,7 @@ def shade_texels(material, light: Tensor, view: Tensor) -> Tensor:
     """
     height, tiles = material.maps["height"], material.tiles
     if light.shape[-2:] != (1, 1) or view.shape[-2:] != (1, 1):
-        return shade_points(material, texel_centres(*material.size, height.dtype), light, view)
+        return shade_points(material, texel_centres(material.size[0], material.size[1], height.dtype), light, view)
     light, view, lead = _listed(light, view)
     if not len(light):
         return height.new_zeros(*lead, 3, *material.size)

@@ -59,10 +59,11 @@ class ShadingMap(Material):
             fact = f"it is {ambient_level!r}"
             raise RangeError(message(self.name, "ambient_level", "be at least 0 and finite", fact, "0 is none."))
         self._lobe = ANALYTIC.get(brdf)
-        options = {
+        options: dict[str, Any] = {
             "slices": slices, "brdf": brdf, "overflow": overflow, "azimuths": azimuths, "ambient_level": ambient_level,
         }
         super().__init__(maps, **options, **settings)
+        self.isotropic = azimuths == 1 and (self._lobe is None or self._lobe.axis is None)
         if self._lobe is not None:
             AnalyticBrdf.from_parameters(brdf, self.maps["lobe"].detach())  # raises RangeError beyond the formula's bounds
         elif self.maps["reflectance"].shape[-1] % TABLE_RESOLUTION[-1]:
@@ -89,11 +90,6 @@ class ShadingMap(Material):
         if azimuths == 1:
             return tuple(map(str, range(slices)))
         return tuple(f"{sector}_{layer}" for sector in range(azimuths) for layer in range(slices))
-
-    @property
-    def isotropic(self) -> bool:
-        """Whether turning light and view together about the normal changes nothing."""
-        return self.options["azimuths"] == 1 and (self._lobe is None or self._lobe.axis is None)
 
     @property
     def parameters_by_name(self) -> dict[str, float]:

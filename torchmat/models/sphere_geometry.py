@@ -131,7 +131,7 @@ def find_turns(turn: Tensor, sine: Tensor, lower: Tensor) -> Tensor:
     found = []
     for start in starts:
         ends = [table.index_select(0, start.flatten() + step).reshape(share.shape) for step in (0, min(1, count - 1))]
-        found.append(torch.lerp(*ends, share))
+        found.append(torch.lerp(ends[0], ends[1], share))
     return torch.stack(found)
 
 

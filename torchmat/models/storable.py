@@ -35,6 +35,10 @@ class Storable(nn.Module):
         """Height and width in texels."""
         raise NotImplementedError
 
+    def with_maps(self, **maps: Tensor) -> Self:
+        """Return the same material with some other maps."""
+        raise NotImplementedError
+
     def settings(self, maps: Mapping[str, Tensor]) -> dict[str, Any]:
         """Return the keywords besides the options that make a material of other `maps` be stored and tile like this."""
         stored = {name: one for name, one in self.stored.items() if name in maps}
@@ -117,7 +121,7 @@ class Storable(nn.Module):
         """Return the bytes that one map takes as stored: found from its size alone, numbers are 4 each."""
         if self._is_numbers(spec):
             return 4 * spec.channels
-        width = (1 if spec.high <= 255 else 2) if spec.index else STORAGES[self._storage_of(spec)].bytes
+        width = (1 if spec.fits_a_byte else 2) if spec.index else STORAGES[self._storage_of(spec)].bytes
         return width * spec.channels * math.prod(self._stored(spec).size or self.maps[spec.name].shape[-2:])
 
     def _is_numbers(self, spec: MapSpec) -> bool:

@@ -88,6 +88,11 @@ class MapSpec:
         return tuple(f"{self.name}_{layer}" for layer in self.layers) if self.layers else (self.name,)
 
     @property
+    def fits_a_byte(self) -> bool:
+        """Whether the largest value, of an index, is at most 255."""
+        return self.high is not None and self.high <= 255
+
+    @property
     def channels(self) -> int:
         """Channels of the map: textures times channels of each."""
         return len(self.textures) * self.layer_channels
@@ -204,7 +209,7 @@ def encode(spec: MapSpec, value: Tensor, storage: str) -> Codes:
     kind = STORAGES[storage]
     planes = value.detach().double()
     if spec.index:
-        return Codes(planes.round().permute(1, 2, 0).numpy().astype(np.uint8 if spec.high <= 255 else np.uint16))
+        return Codes(planes.round().permute(1, 2, 0).numpy().astype(np.uint8 if spec.fits_a_byte else np.uint16))
     if kind.levels is None:
         pixels = planes.permute(1, 2, 0).numpy()
         largest = float(np.abs(pixels).max())

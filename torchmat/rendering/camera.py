@@ -28,10 +28,14 @@ class Rays(NamedTuple):
 
 @dataclass(frozen=True)
 class Camera:
-    """A camera at `position` that looks at `target`, in the scene's frame (y up).
+    """A camera at a place of the scene that looks at another.
 
-    `field_of_view` is the angle, in radians, that the picture's width spans. With `width` the camera is orthographic:
-    the picture then spans so much of the scene, from however far away.
+    Args:
+        position: x, y, z in the scene's frame (x right, y up) and unit of length.
+        target: the point that it looks at.
+        up: the direction that is up in the picture; not along the line of sight.
+        field_of_view: the angle, in radians, that the picture's width spans, above 0 and below pi.
+        width: how much of the scene the picture's width spans, which makes the camera orthographic; None for perspective.
     """
 
     position: Sequence[float]

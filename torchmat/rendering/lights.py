@@ -51,8 +51,9 @@ def _intensity(where: str, given: _Numbers) -> Tensor:
 class Directional:
     """A light so far away that its rays are parallel.
 
-    `direction` x, y, z points to it, in the scene's frame; its length does not matter. `intensity` is linear RGB: a
-    white diffuse surface that faces a light of 1 reads 1.
+    Args:
+        direction: x, y, z toward the light, in the scene's frame; its length does not matter.
+        intensity: linear RGB, not negative; a white diffuse surface that faces a light of 1 reads 1.
     """
 
     direction: _Numbers
@@ -71,9 +72,11 @@ class Directional:
 
 @dataclass(frozen=True)
 class Point:
-    """A light at `position` x, y, z of the scene that shines alike into all directions.
+    """A light at a place of the scene that shines alike into all directions.
 
-    `intensity` is what it gives at distance 1, in the scene's unit of length; it falls off with the distance squared.
+    Args:
+        position: x, y, z in the scene's frame and unit of length.
+        intensity: linear RGB, not negative: what it gives at distance 1; it falls off with the distance squared.
     """
 
     position: _Numbers
@@ -105,12 +108,17 @@ def as_light(given: Light | _Numbers) -> Light:
 
 
 def environment_lights(picture: Tensor, count: int = 64, turn: float = 0.0) -> list[Directional]:
-    """Return distant lights that stand for an environment map: a latitude-longitude `picture` [3, H, W], linear.
+    """Return distant lights that stand for an environment map.
 
-    Its top row is up (+y), its middle column lies in direction -z, behind the object as the default camera sees it, and
-    columns to the right of it turn toward +x; `turn` radians turn it about y (positive: from +z toward +x). The map is
-    cut `count` - 1 times, each time the region of most light into halves of equal light across its longer side
+    The map is cut `count` - 1 times, each time the region of most light into halves of equal light across its longer side
     (median cut, Debevec 2005); each region becomes a light at its centre of light. The sum of light is kept.
+
+    Args:
+        picture: latitude-longitude map [3, H, W], linear, not negative. Its top row is up (+y), its middle column lies in
+            direction -z, behind the object as the default camera sees it; columns to the right of it turn toward +x.
+        count: number of lights, at least 1.
+        turn: radians by which the map turns about y, positive from +z toward +x.
+
     Raises RangeError for a map that is negative, not finite or black, or for a count below 1, ShapeError for no map.
     """
     where = "environment_lights"

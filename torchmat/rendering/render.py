@@ -31,16 +31,23 @@ def render(
 ) -> Tensor:
     """Return a linear picture [3, rows, columns] of a material on an object.
 
-    `material` is a Material, a Brdf, or a RawBtf. `mesh` is "patch" (the flat sample filling the picture, texels as high
-    as wide), "quad", "cube", "sphere", "torus", "teapot", a file that trimesh reads, or a Mesh. `lights` are Directional,
-    Point, or x, y, z of a distant one; they add up. `view` is the direction from the object to a far camera that frames
-    it, unless `camera` is given; both and the lights are in the scene's frame: x right, y up, z toward the default
-    camera (of the patch: its tangent frame). `size` is (rows, columns) or one number for both; of a patch the columns.
-    `repeat` multiplies texture coordinates. With `shadows` parts of the object hide others from the light. `rays` 1, 4, 9
-    or 16 go through a pixel; `edges_only` sends one through those whose neighbours show the same.
+    Directions and places are in the scene's frame: x right, y up, z toward the default camera; of a patch in its tangent
+    frame. To light one view again and again, use `see` and `shade_visible`.
 
-    Instead of a mesh a Scene may be given, which holds all that follows and keeps what its camera sees. To light one
-    view again and again, use `see` and `shade_visible`.
+    Args:
+        material: a Material, a Brdf, or a RawBtf.
+        mesh: "patch" (the flat sample filling the picture, texels as high as wide), "quad", "cube", "sphere", "torus",
+            "teapot", a file that trimesh reads, a Mesh, or a Scene, which holds all that follows and keeps what its camera
+            sees.
+        lights: Directional, Point, or x, y, z of a distant one; they add up.
+        view: direction from the object to a far camera that frames it, x, y, z, unless `camera` is given.
+        size: (rows, columns) of the picture, or one number for both; of a patch the columns.
+        repeat: factor on the texture coordinates, above 0.
+        camera: a Camera; None for the far one.
+        shadows: whether parts of the object hide others from the light.
+        rays: 1, 4, 9 or 16 through a pixel.
+        edges_only: whether pixels whose neighbours show the same get only one ray.
+
     Raises RangeError for what lies outside, ShapeError for directions that are not x, y, z, DataError for a bad mesh.
     """
     if isinstance(mesh, Scene):

@@ -34,8 +34,20 @@ _MOST_PAIRS = 4_000_000  # of point and light; of more each light keeps every se
 class Scene:
     """One picture's camera, object and lights; `render(material, scene)` is that picture.
 
-    The arguments are those of `render`, checked once; what the camera sees is found once, when it is first needed. A
-    "patch" is no object: use "quad". Raises RangeError, ShapeError or DataError as `render` does.
+    All is checked once; what the camera sees is found once, when it is first needed.
+
+    Args:
+        mesh: "quad", "cube", "sphere", "torus", "teapot", a file that trimesh reads, or a Mesh; a "patch" is no object.
+        lights: Directional, Point, or x, y, z of a distant one; they add up.
+        camera: None for a far one that frames the object from `view`.
+        view: direction from the object to that camera, x, y, z.
+        size: (rows, columns) of the picture, or one number for both.
+        repeat: factor on the texture coordinates, above 0.
+        shadows: whether parts of the object hide others from the light.
+        rays: 1, 4, 9 or 16 through a pixel.
+        edges_only: whether pixels whose neighbours show the same get only one ray.
+
+    Raises RangeError, ShapeError or DataError as `render` does.
     """
 
     mesh: str | Path | Mesh | trimesh.Trimesh

@@ -11,6 +11,7 @@ from torchmat.rendering.camera import Camera
 from torchmat.rendering.lights import Directional, Light, Point
 from torchmat.rendering.scene import Scene
 from torchmat.rendering.shapes import SHAPES
+from torchmat.shipped import find_file, shipped_folder
 from torchmat.text_file import read_toml
 
 _KEYS = ("mesh", "lights", "camera", "view", "size", "repeat", "shadows", "rays", "edges_only")
@@ -19,14 +20,14 @@ _LIGHT_KEYS = ("direction", "position", "intensity")
 
 
 def load_scene(path: str | Path) -> Scene:
-    """Read a scene: the arguments of `Scene` as TOML.
+    """Read a scene: the arguments of `Scene` as TOML; `path` may be the name of one that ships, such as "teapot.toml".
 
     `mesh` is a shape or a file, whose path counts from the scene's; `[[lights]]` have a `direction` or a `position`,
     and an `intensity`; `[camera]` has a `position`, and `target`, `up`, `field_of_view_deg` or `width`; `view`, `size`
     (a number or rows and columns), `repeat`, `shadows`, `rays` and `edges_only` are as of `render`. Raises DataError,
     naming the file, for what is missing, unknown or of another kind.
     """
-    path = Path(path)
+    path = find_file(path, "scenes")
     table = read_toml(path, "the scene")
     try:
         return _scene(path, table)
@@ -34,7 +35,7 @@ def load_scene(path: str | Path) -> Scene:
         raise DataError(f"{path}: {error}") from error
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         fact = f"{type(error).__name__}: {error}"
-        step = "See configs/scenes/teapot.toml for an example."
+        step = f"See {shipped_folder() / 'scenes' / 'teapot.toml'} for an example."
         raise DataError(message(str(path), "the scene", "describe a scene", fact, step)) from error
 
 

@@ -67,7 +67,9 @@ def _of_grid(
     """Return a Mesh of vertices in any number of dimensions before the last; those that no face uses are left out."""
     used, corners = np.unique(faces, return_inverse=True)
     parts = [part.reshape(-1, part.shape[-1])[used] for part in (position, normal, uv, tangent)]
-    return of_arrays(parts[0], corners.reshape(-1, 3), *parts[1:], np.ones(len(used)), name, "shape")
+    return of_arrays(
+        parts[0], corners.reshape(-1, 3), parts[1], parts[2], parts[3], np.ones(len(used)), name, "shape"
+    )
 
 
 def _sphere(segments: int = 256) -> Mesh:

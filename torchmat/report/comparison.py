@@ -52,18 +52,28 @@ def compare(
 ) -> list[dict[str, Any]]:
     """Fit each model on the same split; return a row each: error, bytes, seconds, memory, shading rate, full report.
 
-    None compares all registered models (`default_models`). A model is a name, or a name with options: ``"hsh:terms=9"``, ``"phong_srf:solver=adam"``,
-    ``"lambert:geometry=recover"``; `geometry`, as `fit` takes it (a word, a height map or the path of one), is that of all whose text
-    says nothing of it; None leaves each to its own way. `budget` is how many
-    seconds an iterative solver may take, which then stops with the best it has. With `repeats` each model is fitted so
-    often, on the same split from the same seed: seconds are the median, with their spread, and `same_bits` says whether
-    the result was the same. `curves` adds to the rows of iterative solvers the error on some held-out samples against
-    seconds, measured off the clock. `each` is called with the rows so far after every model, so that a long comparison
-    that is interrupted has lost nothing.
-
     A model that the data cannot determine gets a row whose figures are None and whose `failed` says why; nothing else
-    is hidden. What the columns mean stands in `report.tables.COMPARE_MEANINGS`. Raises RangeError, before any fit, for
-    models that are unknown or given twice, and for a budget or repeats that leave nothing.
+    is hidden. What the columns mean stands in `report.tables.COMPARE_MEANINGS`.
+
+    Args:
+        btf: the images.
+        models: names, or names with options: ``"hsh:terms=9"``, ``"phong_srf:solver=adam"``, ``"lambert:geometry=recover"``;
+            None is all registered models (`default_models`).
+        budget: seconds that an iterative solver may take, which then stops with the best it has; None is no limit.
+        repeats: how often each is fitted, on the same split from the same seed: seconds are the median, with their spread,
+            and `same_bits` says whether the result was the same. At least 1.
+        geometry: as `fit` takes it, a word, a height map or the path of one, for all whose text says nothing of it; None
+            leaves each to its own way.
+        curves: whether rows of iterative solvers have the error on some held-out samples against seconds, measured off the
+            clock.
+        holdout: share of the samples held out, in [0, 1).
+        holdout_by: "pair", "light", "view" or "arc" (`split_samples`).
+        seed: seed of the split and of the solvers, from 0.
+        progress: whether to show a bar; None shows it on a terminal.
+        each: called with the rows so far after every model, so that a long comparison that is interrupted has lost nothing.
+
+    Raises RangeError, before any fit, for models that are unknown or given twice, and for a budget or repeats that leave
+    nothing.
     """
     entries = _entries(default_models() if models is None else models, geometry)
     if budget is not None and not budget > 0:

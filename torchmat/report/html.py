@@ -49,10 +49,10 @@ def _page(title: str, body: list[str]) -> str:
 
 
 def _bands(report: dict[str, Any]) -> str:
-    part = report["held_out"] or report["train"] or {"by_angle": []}  # not measured: no rows
+    part = report["held_out"] or report["train"]
     rows = [
         [f"{row['angle']} {row['from_deg']}-{row['to_deg']}°", row["samples"], row["relative_error"], row["psnr_db"]]
-        for row in part["by_angle"]
+        for row in part.get("by_angle", [])  # none where nothing was measured
     ]
     return _table(["polar angle", "samples", "relative error", "PSNR (dB)"], rows)
 

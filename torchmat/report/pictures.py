@@ -92,7 +92,7 @@ def angle_picture(result: FitResult, path: Path) -> Path:
     styles = (("train", "--"), ("held_out", "-"))
     for which, style in styles:
         part = result.report[which]
-        if part is None:
+        if not part:
             continue
         for angle in ("light", "view"):
             rows = [row for row in part["by_angle"] if row["angle"] == angle]

@@ -10,6 +10,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from torchmat.fitting.evaluate import NotMeasured
+
 FIGURES = ("relative_error", "psnr_db", "psnr_log_db", "ssim", "delta_e", "mse")
 COMPARE_MEANINGS = {
     "model": "The model and its options, as the command line takes them.",
@@ -46,7 +48,9 @@ _SHORT = {
 
 
 def _plain(value: Any) -> Any:
-    """Return `value` with NaN and infinities as None, which is what JSON has for them."""
+    """Return `value` with NaN and infinities as None, which is what JSON has for them, and what was not measured alike."""
+    if isinstance(value, NotMeasured):
+        return None
     if isinstance(value, dict):
         return {key: _plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):

@@ -90,7 +90,13 @@ class Stepping(Solver):
 
 @dataclass(frozen=True)
 class Adam(Stepping):
-    """Adam on all samples at each step, at one `rate`, until `steps` are done or nothing falls by `tolerance` (1e-4)."""
+    """Adam on all samples at each step, at one rate.
+
+    Args:
+        steps: the most, at least 1; None is left to the model.
+        rate: length of a step, above 0; None is left to the model.
+        tolerance: it stops when nothing falls by this share, above 0; None is 1e-4.
+    """
 
     rate: float | None = None
     tolerance: float | None = None
@@ -105,7 +111,13 @@ class Adam(Stepping):
 
 @dataclass(frozen=True)
 class Minibatch(Stepping):
-    """Adam on `batch` random samples at each step, at a `rate` that falls along half a cosine over the `steps`."""
+    """Adam on random samples at each step, at a rate that falls along half a cosine over the steps.
+
+    Args:
+        steps: how many, at least 1; None is left to the model.
+        rate: length of the first step, above 0; None is left to the model.
+        batch: samples of a step, at least 1; None is left to the model.
+    """
 
     rate: float | None = None
     batch: int | None = None
@@ -122,7 +134,12 @@ class Minibatch(Stepping):
 
 @dataclass(frozen=True)
 class LBFGS(Stepping):
-    """LBFGS with a strong Wolfe line search on all samples, until `steps` are done or four lower nothing by `tolerance` (1e-5)."""
+    """LBFGS with a strong Wolfe line search on all samples.
+
+    Args:
+        steps: the most, at least 1; None is left to the model.
+        tolerance: it stops when four steps lower nothing by this share, above 0; None is 1e-5.
+    """
 
     tolerance: float | None = None
     name = "lbfgs"
@@ -144,7 +161,9 @@ class ClosedForm(Solver):
 class LevenbergMarquardt(Solver):
     """Levenberg-Marquardt for the few numbers that all texels share, and the maps in closed form after it.
 
-    At most `steps` (100), until one promises or brings less than `tolerance` (1e-10) of the cost.
+    Args:
+        steps: the most, at least 1; None is 100.
+        tolerance: it stops when a step promises or brings less than this share of the cost, above 0; None is 1e-10.
     """
 
     steps: int | None = None
@@ -155,7 +174,13 @@ class LevenbergMarquardt(Solver):
 
 @dataclass(frozen=True)
 class VariableProjection(LevenbergMarquardt):
-    """Levenberg-Marquardt for the shared numbers with which the maps, in closed form, leave least (Golub & Pereyra 1973)."""
+    """Levenberg-Marquardt for the shared numbers with which the maps, in closed form, leave least (Golub & Pereyra 1973).
+
+    Args:
+        steps: the most, at least 1; None is left to the model.
+        tolerance: it stops when a step promises or brings less than this share of the cost, above 0; None is left to the
+            model.
+    """
 
     name = "varpro"
 

@@ -52,7 +52,11 @@ def fit_ptm(training: Training, *, storage: str = "half") -> Fitted:
 
 
 def fit_hsh(training: Training, *, terms: int = 9, storage: str = "half") -> Fitted:
-    """Least-squares hemispherical harmonics per texel and channel."""
+    """Least-squares hemispherical harmonics per texel and channel.
+
+    Args:
+        terms: harmonics per texel and channel, 4, 9 or 16: more follow sharper shading and need more lights.
+    """
     check_option("fit hsh", "terms", terms, HSH_TERMS)
     _, _, solved = _solve(training, f"hsh{terms}")
     maps = {"harmonic": solved.coefficients.flatten(0, 1)}
@@ -78,8 +82,11 @@ def fit_lptm(training: Training, *, storage: str = "half") -> Fitted:
 def fit_lambert(training: Training, *, normals: str = "auto", storage: str = "half") -> Fitted:
     """Normal from the least-squares gradient of luminance over the light, then the albedo for that normal.
 
-    Woodham 1980 over all samples, without rejecting shadows or highlights: the plain baseline. `normals` "auto" means
-    a normal map on a flat surface and those of the height on a relief.
+    Woodham 1980 over all samples, without rejecting shadows or highlights: the plain baseline.
+
+    Args:
+        normals: "map" for a normal map, "height" for the slopes of the relief (which needs one), or "auto": a map on a flat
+            surface and the height's on a relief.
     """
     check_option("fit lambert", "normals", normals, ("auto", *NORMALS))
     if normals == "height":
@@ -182,13 +189,16 @@ def _albedo(training: Training, normal: Tensor) -> Tensor:
     return safe.divide(numerator, denominator).unflatten(1, normal.shape[1:])
 
 
-TEXTURE = Recipe(Texture, fit_texture, rungs=(
+TEXTURE = Recipe(Texture, fit_texture, bytes_per_texel="6", rungs=(
     Rung("constant", "texture", 0, {}, {"albedo": StoredAs((1, 1))}), Rung("texture", "texture", 3),
 ))
-LAMBERT = Recipe(Lambert, fit_lambert, on_relief=fit_lambert_on_relief, shared=LambertShared, rungs=(Rung("Lambert", "lambert", 6),))
-PTM = Recipe(Ptm, fit_ptm, rungs=(Rung("PTM", "ptm", 18),))
-LPTM = Recipe(Lptm, fit_lptm, rungs=(Rung("luminance PTM", "lptm", 9),))
+LAMBERT = Recipe(
+    Lambert, fit_lambert, bytes_per_texel="12", on_relief=fit_lambert_on_relief, shared=LambertShared,
+    rungs=(Rung("Lambert", "lambert", 6),),
+)
+PTM = Recipe(Ptm, fit_ptm, bytes_per_texel="36", rungs=(Rung("PTM", "ptm", 18),))
+LPTM = Recipe(Lptm, fit_lptm, bytes_per_texel="18", rungs=(Rung("luminance PTM", "lptm", 9),))
 HSH = Recipe(
-    Hsh, fit_hsh, compared=tuple(f"terms={terms}" for terms in HSH_TERMS),
+    Hsh, fit_hsh, bytes_per_texel="54", compared=tuple(f"terms={terms}" for terms in HSH_TERMS),
     rungs=(Rung("4 harmonics", "hsh", 12, {"terms": 4}), Rung("9 harmonics", "hsh", 27, {"terms": 9})),
 )

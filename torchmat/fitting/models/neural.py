@@ -53,12 +53,18 @@ def fit_neural(
 ) -> Fitted:
     """Fit a latent texture and a network by Adam, on random texels under random samples.
 
-    `latent` numbers a texel, `layers` hidden layers of `hidden` units; `effort` multiplies the number of steps. The
-    error is that of the root of the value. Texels are dealt into groups once, and a step takes one group under some of
+    The error is that of the root of the value. Texels are dealt into groups once, and a step takes one group under some of
     the samples: a latent number moves only when its texel is looked at. Only some of the images are held in memory at
-    a time. With a limit of seconds the rate falls to its end within them. `solver` may say `steps`, the `rate` (0.01;
-    latent numbers go four times as fast) and the `batch` of samples of a step. `objective` "root" is the error of the
-    root of the value, which the network gives; others are those of all fits.
+    a time. With a limit of seconds the rate falls to its end within them.
+
+    Args:
+        latent: numbers a texel, 1 to 1024.
+        hidden: units of a hidden layer, 1 to 1024.
+        layers: hidden layers, 1 to 1024.
+        effort: factor on the number of steps, above 0.
+        solver: a Minibatch may say `steps`, the `rate` (0.01; latent numbers go four times as fast) and the `batch` of samples
+            of a step.
+        objective: "root" is the error of the root of the value, which the network gives.
     """
     where = "fit neural"
     check_option(where, "storage", storage, STORAGES)
@@ -205,6 +211,7 @@ class _Fit:
 
 _REFUSED = ("has one network for all texels", "Leave tile_size, memory_mb and work out: it holds only some of the images and texels at a time.")
 NEURAL = Recipe(
-    Neural, fit_neural, solvers=("minibatch",), descends=False, objective=ROOT, quick={"effort": 0.1},
+    Neural, fit_neural, bytes_per_texel="8", solvers=("minibatch",), descends=False, objective=ROOT,
+    quick={"effort": 0.1},
     tiling=Tiling(refused=_REFUSED), geometry=RECOVER,
 )

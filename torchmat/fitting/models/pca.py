@@ -93,7 +93,11 @@ def _range_finder(
 
 
 def fit_pca(training: Training, *, components: int = 16, storage: str = "half") -> Fitted:
-    """Truncated SVD of the matrix whose rows are images; not centred, as BTF compression usually is."""
+    """Truncated SVD of the matrix whose rows are images; not centred, as BTF compression usually is.
+
+    Args:
+        components: RGB textures, at least 1 and at most as many as there are images or numbers in one.
+    """
     if training.table("weight") is not None:
         return _pca_of(training, components, storage)
     images = _Images(training)
@@ -183,6 +187,10 @@ def fit_local_pca(
 
     The texels' reflectance [texel, 3 sample] is first brought to its leading dimensions by a randomised SVD; all
     clustering happens there.
+
+    Args:
+        clusters: groups of texels, each with components of its own, at least 1 and at most as many as texels.
+        components: weights a texel, at least 1 and at most as many as the smaller of texels and values of one.
     """
     if training.table("reflectance") is not None:
         return _local_pca_of(training, clusters, components, storage)
@@ -316,5 +324,8 @@ def _lloyd(points: Tensor, label: Tensor, clusters: int, components: int) -> tup
 
 # Their tables hold a number for each measured sample: a start that has them all is a factorisation, the answer itself.
 # Images that are few are decoded once and kept.
-PCA = Recipe(Pca, fit_pca, descends=False, compared=("components=8", "components=16"), tiling=Tiling(kept_mb=260.0))
-LOCAL_PCA = Recipe(LocalPca, fit_local_pca, descends=False, tiling=Tiling(kept_mb=260.0))
+PCA = Recipe(
+    Pca, fit_pca, bytes_per_texel="96", descends=False, compared=("components=8", "components=16"),
+    tiling=Tiling(kept_mb=260.0),
+)
+LOCAL_PCA = Recipe(LocalPca, fit_local_pca, bytes_per_texel="17", descends=False, tiling=Tiling(kept_mb=260.0))

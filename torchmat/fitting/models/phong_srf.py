@@ -36,20 +36,26 @@ def fit_phong_srf(
 ) -> Fitted:
     """Fit the global lobe, then the residual maps.
 
-    `phong` "mean_brdf" fits the lobe to each image's mean over the texels; "per_light" fits one for each light and
-    averages the parameters, exponents as logarithms. (The paper fits each light's reflectance map texel by texel; all
-    texels of an image share light and view here, so its sum of squares differs from ours by a constant.) Both errors
-    are reported; `per_light` needs three views of a light. One pass over the images serves both steps: the lobe is
+    The paper fits each light's reflectance map texel by texel; all texels of an image share light and view here, so its
+    sum of squares differs from ours by a constant. Both errors of `phong` are reported. One pass over the images serves both steps: the lobe is
     the same for all texels, so it can be subtracted from the summed products afterwards. A few texels a hundred times
     brighter than the rest (an HDR highlight on dark cloth) are left out of the lobe, by a second pass over the images:
     it would be theirs, and no residual takes it off the other texels again.
 
-    `solver` LevenbergMarquardt ("lm") fits the lobe to the values themselves, as the paper does; VariableProjection
-    ("varpro") to what no residual can follow (`_beside_residual`), which is the least error of lobe and residual together.
+    Under one view `half_light` is nearly collinear: coefficients cancel each other, which 8-bit textures cannot hold and
+    unseen views do not forgive. A `ridge` of 1e-4 costs the flat sample under one view 0.0016 of relative error and lets 8
+    bits hold it; on well-conditioned data it changes nothing.
 
-    `ridge` penalises large residual coefficients. Under one view `half_light` is nearly collinear: coefficients cancel
-    each other, which 8-bit textures cannot hold and unseen views do not forgive. 1e-4 costs the flat sample under one
-    view 0.0016 of relative error and lets 8 bits hold it; on well-conditioned data it changes nothing.
+    Args:
+        residual: what each texel adds to the lobe: "half", the paper's, linear in the half vector (9 numbers a texel);
+            "half_light", linear in the light too (21); "quadratic" in both (45); "cosine", a colour times the light's
+            cosine (3).
+        phong: "mean_brdf" fits the lobe to each image's mean over the texels; "per_light" fits one for each light, which
+            needs three views of it, and averages the parameters, exponents as logarithms.
+        base: the lobe, "phong" or "ashikhmin_shirley" (anisotropic, with Fresnel).
+        ridge: penalty on large coefficients of the residual, at least 0, as a share of the data's own weight.
+        solver: "lm" (Levenberg-Marquardt) fits the lobe to the values themselves, as the paper does; "varpro" to what no
+            residual can follow, which is the least error of lobe and residual together.
     """
     _check_options(residual, phong, base, ridge)
     design = design_of(training, residual, ridge)
@@ -195,7 +201,7 @@ def _overall(solution: Solution) -> str:
 
 
 PHONG_SRF = Recipe(
-    PhongSrf, fit_phong_srf, solvers=("lm", "varpro"), solvers_differ=True,
+    PhongSrf, fit_phong_srf, bytes_per_texel="18", solvers=("lm", "varpro"), solvers_differ=True,
     compared=("", "residual=half_light", "residual=quadratic", "base=ashikhmin_shirley"), rungs=(
         Rung("Phong", "phong_srf", 0, {"residual": "cosine"}, {"residual": StoredAs((1, 1))}),
         Rung("Phong + texture", "phong_srf", 3, {"residual": "cosine"}),

@@ -60,8 +60,16 @@ def fit_shading_map(
     the means (of all views). `joint` True goes past it: the value is linear in the slices once the BRDF has said
     which layer each sample shows, so all samples of all views give them in one closed form; and the BRDF is the one
     with which that explains most (`_refined`). r comes from the BRDF there, not from the images' means: measured never
-    worse. `azimuths` > 1 gives each sector of light directions a stack of its own. Slice 0 is black, negative
-    coefficients become 0. Raises FitError when every image is black.
+    worse. Slice 0 is black, negative coefficients become 0. Raises FitError when every image is black.
+
+    Args:
+        slices: images of a stack, sorted by brightness, the black one included: 2 to 64.
+        brdf: what says which brightness a pair of directions has: "lambert", "phong" (the chapter's), "blinn",
+            "ashikhmin_shirley", "ward", "cook_torrance", "ggx" or "ggx_anisotropic".
+        overflow: above the brightest slice, "clamp" shows it, "scale" multiplies it on.
+        azimuths: stacks, one for each sector of the light's azimuth, interpolated: 1 to 36; 1 for isotropic relief or few
+            lights.
+        joint: true fits BRDF and slices together to the samples of all views; false is the chapter's way, of one view.
     """
     check_slices(_WHERE, slices)
     check_azimuths(_WHERE, azimuths)
@@ -254,4 +262,7 @@ def _curves(training: Training, rows: Tensor, means: Tensor) -> Tensor:
 
 
 # Slices are sorted by the brightness that the BRDF gives: moving it deals the samples out anew, which has no slope.
-SHADING_MAP = Recipe(ShadingMap, fit_shading_map, shared=ShadingMapShared, descends=False, compared=("", "brdf=ggx,azimuths=4"))
+SHADING_MAP = Recipe(
+    ShadingMap, fit_shading_map, bytes_per_texel="48", shared=ShadingMapShared, descends=False,
+    compared=("", "brdf=ggx,azimuths=4"),
+)

@@ -124,7 +124,15 @@ def recover_relief(training: Training) -> Recovery:
 def recover_geometry(
     btf: Btf, *, tiles: bool = True, seed: int = 0, dtype: torch.dtype = torch.float32, progress: bool | None = None
 ) -> Recovery:
-    """Recover height and normals of a BTF from all its samples; see `recover_relief`."""
+    """Recover height and normals of a BTF from all its samples; see `recover_relief`.
+
+    Args:
+        btf: the images.
+        tiles: whether the surface repeats at its borders.
+        seed: chooses the samples that are looked at, from 0.
+        dtype: precision of the search, torch.float32 or torch.float64.
+        progress: whether to show a bar; None shows it on a terminal.
+    """
     with torch.no_grad():
         return recover_relief(make_training(btf, torch.arange(len(btf)), seed, tiles, dtype, progress))
 

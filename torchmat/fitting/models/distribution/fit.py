@@ -53,12 +53,19 @@ def fit_distribution(
 ) -> Fitted:
     """Fit the distribution material to a flat surface.
 
-    `lobes` is the number K of specular maps, "auto" lets the data choose 1 to 3; 0 leaves them out with all that belongs
-    to them. `fresnel`, `rotation` and `tilt` are true, false or "auto": a part is kept if a short pilot run on part of
-    the samples gains 0.08 dB by it on the rest. `normal` and `specular_mask` false save those maps.
-    `specular_size` is the side of the specular maps, `effort` multiplies the number of steps, and `solver` is Minibatch
-    (Adam on random images), or Adam or LBFGS on all at once; its own `steps`, those of the fit in all, count instead.
-    `objective` is what all of them make small.
+    Of what is "auto" a part is kept if a short pilot run on part of the samples gains 0.08 dB by it on the rest.
+
+    Args:
+        lobes: specular maps, 0 to 12; "auto" lets the data choose 1 to 3, 0 leaves them out with all that belongs to them.
+        fresnel: true, false or "auto": a map of the reflectance at normal incidence.
+        rotation: true, false or "auto": a map that turns each texel's highlight, for brushed and woven surfaces.
+        tilt: true, false or "auto": one curve for the whole material that changes how it darkens toward grazing.
+        normal: true for a normal map, which on a relief refines the height's normals.
+        specular_mask: true for a map of how strong each texel's highlight is.
+        specular_size: texels on a side of the specular maps, 4 to 1024.
+        effort: factor on the number of steps, above 0: larger is slower and slightly better.
+        solver: "minibatch" is Adam on random images, "adam" and "lbfgs" take all at once; a solver's own `steps`, those of the
+            fit in all, count instead of `effort`.
     """
     given = DistributionOptions(
         lobes, fresnel, rotation, tilt, normal, specular_mask, specular_size, effort, solver, storage, objective,

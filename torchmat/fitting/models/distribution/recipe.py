@@ -39,8 +39,8 @@ _LADDER = Ladder(
     bytes=4, bytes_of_lobe=_bytes_of_lobe, without_idle_parts=without_idle_parts,
 )
 DISTRIBUTION = Recipe(
-    Distribution, fit_distribution, solvers=("minibatch", "adam", "lbfgs"), solvers_differ=True, objective=DISPLAY,
-    ladder=_LADDER, on_relief=fit_distribution_on_relief,
+    Distribution, fit_distribution, bytes_per_texel="7 to 18", solvers=("minibatch", "adam", "lbfgs"), solvers_differ=True,
+    objective=DISPLAY, ladder=_LADDER, on_relief=fit_distribution_on_relief,
     # What a relief is worth shows long before the last step.
     quick={"lobes": 1, "fresnel": True, "rotation": True, "effort": 0.15},
     shared=DistributionShared, geometry=RECOVER,

@@ -35,9 +35,14 @@ def fit_sphere_images_to_btf(
     """Fit sphere pictures to each image's mean over the texels, then a tint per texel.
 
     All texels share one isotropic reflectance, times a colour: the tint, in closed form. (The paper has homogeneous
-    materials only.) The pictures, evenly from 0 to 135 degrees, are those of the lobe `base` fitted to the means, plus
-    a correction: a linear least squares whose `smoothness` lets sparse samples speak for their neighbourhood, fading
-    out where there are none. Coverage is 1 where a texel has any sample.
+    materials only.) The pictures are those of a lobe fitted to the means, plus a correction: a linear least squares that
+    fades out where there are no samples. Coverage is 1 where a texel has any sample.
+
+    Args:
+        pictures: pictures of the sphere, evenly from 0 to 135 degrees between light and view, at least 2.
+        size: texels across a picture, at least 2.
+        base: the formula that says what no sample does: "phong", "blinn", "cook_torrance" or "ggx".
+        smoothness: how far a sparse sample speaks for its neighbourhood, above 0: larger is smoother.
     """
     check_option("fit sphere_images", "base", base, SPHERE_BASES)
     for name, value, least in (("pictures", pictures, 2), ("size", size, 2), ("smoothness", smoothness, 1e-9)):
@@ -106,4 +111,4 @@ def _tint(training: Training, material: SphereImages) -> tuple[Tensor, Tensor]:
     return tint.unflatten(1, shape), seen.any(dim=0).to(torch.float32).reshape(1, *shape)
 
 
-SPHERE_IMAGES = Recipe(SphereImages, fit_sphere_images_to_btf)
+SPHERE_IMAGES = Recipe(SphereImages, fit_sphere_images_to_btf, bytes_per_texel="6")
