@@ -101,14 +101,17 @@ def test_any_material_is_fitted_on_without_being_registered(truth):
 
 def test_a_material_on_a_relief_keeps_its_height_and_improves():
     scene = relief_scene()
-    btf = scene.btf()
-    begun = tm.fit(btf, "lambert", geometry=scene.true_height, progress=False).material
+    btf = tm.Btf.from_tensors((scene.images + 0.15).astype(np.float32), scene.light, scene.view)
+    fitted = tm.fit(btf, "lambert", geometry=scene.true_height, progress=False)
+    begun = fitted.material
     grey = begun.with_maps(albedo=torch.full_like(begun.maps["albedo"], 0.4))
     found = tm.fit(btf, grey, steps=300, progress=False)
     assert torch.equal(found.material.maps["height"], grey.maps["height"])
     assert torch.equal(found.material.maps["ambient"], grey.maps["ambient"])
     before = tm.evaluate(grey, btf, found.split.held_out).report["psnr_db"]
     assert found.report["held_out"]["psnr_db"] > before + 3
+    # What is in shadow is left out here, and with its ambient light taken off the rest says the same albedo.
+    assert abs(found.report["held_out"]["psnr_db"] - fitted.report["held_out"]["psnr_db"]) < 0.2  # measured 39.87 of 39.90 dB
 
 
 def test_one_seed_gives_the_same_bits(truth):

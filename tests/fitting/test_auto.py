@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -343,8 +344,18 @@ def test_a_part_pays_by_0_08_db_and_where_the_target_is_met_by_bytes():
         found = {gain: pays(made_up(20, large), made_up(20 + gain, large)) for gain in (-1, 0, 0.07, 0.09, 0.5, 5)}
         assert found == {-1: False, 0: False, 0.07: False, 0.09: True, 0.5: True, 5: True}
     pays = climb.Climb(training, Target(psnr=15)).pays
+    less = (12, 11)  # a dB more saves 15 % of the bytes
+    assert pays(made_up(20, large), made_up(19.5, less)) and not pays(made_up(20, large), made_up(19.3, less))
+    assert pays(made_up(20, less), made_up(20.7, large)) and not pays(made_up(20, less), made_up(20.5, large))
     assert pays(made_up(20, large), made_up(19.9, half)) and not pays(made_up(20, half), made_up(20.5, large))
     assert not pays(made_up(20, large), made_up(15.1, half)), "it is within the margin of the target"
+
+
+def test_what_was_fitted_to_some_texels_is_within_reach_up_to_a_tenth_above():
+    training = make_training(data.constant(), torch.arange(len(data.LIGHT)), 0, True, torch.float32, False)
+    reach = climb.Climb(training, Target(error=0.01))._within_reach  # less the margin 0.0095
+    found = [reach(replace(made_up(0, (6, 6)), thin=thin, cost=cost)) for thin in (True, False) for cost in (0.0094, 0.0104, 0.0105)]
+    assert found == [True, True, False, True, False, False]
 
 
 def test_costs_are_what_is_wanted():

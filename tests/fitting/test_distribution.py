@@ -142,6 +142,17 @@ def test_a_part_is_kept_from_0_08_db_on(gain, kept, monkeypatch):
     assert ("fresnel" in result.material.options["parts"]) is kept
 
 
+def test_a_pilot_is_judged_by_the_tenth_of_the_samples_that_it_was_not_fitted_to(monkeypatch):
+    state, parts, _ = _begun(4)
+    fitted_to, judged_by = [], []
+    monkeypatch.setattr(fitting._Fit, "_solve", lambda self, raw, parts, solver, steps, rate, samples, *rest: fitted_to.append(samples))
+    values = type(state.surface).values
+    monkeypatch.setattr(type(state.surface), "values", lambda self, rows: judged_by.append(rows) or values(self, rows))
+    state._pilot(fitting.find_starts(state.surface, state.level), parts)
+    fitted_to, judged_by = torch.cat(fitted_to), torch.cat([rows for rows in judged_by if not isinstance(rows, slice)])
+    assert len(judged_by) == 8 and torch.equal(torch.cat((fitted_to, judged_by)).sort().values, torch.arange(81))
+
+
 def test_lobes_are_chosen_by_the_data():
     result = tm.fit(btf_of(noisy("isotropic")), "distribution", geometry="flat", measure=False, **{**ONE_LOBE, "lobes": "auto", "effort": 0.1})
     assert 1 <= result.material.options["lobes"] <= 3

@@ -200,11 +200,18 @@ def test_bands_add_up_to_the_pooled_figures():
         assert sum(band["samples"] for band in bands) == report["samples"] == len(btf)
         total = sum(band["mse"] * band["samples"] for band in bands)
         assert abs(total / (report["mse"] * len(btf)) - 1) < 1e-9
+    counts = {(band["angle"], band["from_deg"]): band["samples"] for band in report["by_angle"]}
+    assert counts == {
+        ("light", 0): 6, ("light", 15): 30, ("light", 45): 42, ("light", 60): 54, ("light", 75): 12, ("light", 90): 6,
+        ("view", 0): 25, ("view", 45): 75, ("view", 75): 50,
+    }
 
 
 def test_the_figures_are_those_of_the_definitions(btf):
     result = tm.fit(btf, "ptm")
-    rows = result.split.held_out
+    train, rows = result.split
+    missed = predict(result.material, btf, train).double().numpy() - images()[train.numpy()].astype(np.float64)
+    assert abs(result.report["train"]["mse"] / (missed**2).mean() - 1) < 1e-5
     target = images()[rows.numpy()].astype(np.float64)
     predicted = predict(result.material, btf, rows).double().numpy()
     squared = (predicted - target) ** 2

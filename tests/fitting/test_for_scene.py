@@ -15,6 +15,7 @@ from torchmat import Btf, DataError, RangeError, Scene, fit
 from torchmat.btf.interpolated import RawBtf
 from torchmat.fitting.evaluate import comparable
 from torchmat.fitting.geometry import Flat
+from torchmat.fitting.models.linear import LambertShared
 from torchmat.fitting.models.lobe import fit_lobe
 from torchmat.fitting.models.streamed import solve_texels, stream_moments
 from torchmat.fitting.recipe import RECIPES
@@ -126,7 +127,7 @@ def test_on_a_relief_too_a_sample_that_counts_twice_is_the_sample_given_twice(mo
     for data, used, importance in (
         (btf, ~held_out, counts), (btf.picked(again), torch.ones(len(again), dtype=torch.bool), None), (btf, ~held_out, None),
     ):
-        shared = {"mean_value": 0.3}  # that of all texels and samples, however often they count
+        shared = LambertShared(mean_value=0.3)  # that of all texels and samples, however often they count
         training = Training(data, used, dtype=torch.float64, progress=False, importance=importance, shared=shared)
         surface = bring_onto(training, height)
         with torch.no_grad():

@@ -245,9 +245,14 @@ def test_samples_in_small_blocks_are_the_same(monkeypatch):
     assert_close(torch.from_numpy(single.pixels), torch.from_numpy(whole.pixels), 1e-12)
 
 
-def test_visible_is_what_the_flags_say():
-    scene = relief_scene()
+@pytest.mark.parametrize("tiles", [True, False])
+def test_what_views_and_lights_see_is_what_flags_and_shadow_say(tiles):
+    scene = relief_scene(tiles=tiles)
     surface = bring_onto(training_of(scene), scene.true_height)
     btf = surface.training.btf
-    seen = visible(scene.true_height, btf.view[:, :, None, None])[:, 0].numpy()
+    seen = visible(scene.true_height, btf.view[:, :, None, None], tiles=tiles)[:, 0].numpy()
     assert np.array_equal(surface.flags == INVALID, ~seen)
+    lit = soft_shadow(scene.true_height, btf.lights[:, :, None, None], tiles=tiles)
+    assert torch.equal(surface.lit, lit)
+    wrong = not tiles
+    assert not torch.equal(lit, soft_shadow(scene.true_height, btf.lights[:, :, None, None], tiles=wrong))

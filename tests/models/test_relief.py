@@ -14,7 +14,7 @@ from tests.models.examples import CASES, assert_same, directions, make, make_map
 from tests.reference import materials as flat_oracle
 from tests.reference import relief as oracle
 from tests.reference.gradient import central
-from tests.support import TOLERANCE
+from tests.support import TOLERANCE, assert_close
 
 from torchmat import load_material, save_material
 from torchmat.errors import DataError, RangeError, ShapeError
@@ -341,17 +341,26 @@ def test_one_direction_below_leaves_the_others():
 
 
 @every_model
-@pytest.mark.parametrize("z", [1e-4, 1e-12])
-def test_grazing_directions_are_finite(name, options, dtype, z):
-    material = on_waves(name, options, dtype=dtype)
-    low, high = unit(0.6, 0.8, z, dtype).requires_grad_(), unit(0.1, -0.3, 0.8, dtype).requires_grad_()
-    uv = torch.rand(2, 2, 3, dtype=dtype)
-    for pair in ((low, high), (high, low), (low, low)):
-        for value in (material.shade(*pair), material.shade_at(uv, *pair)):
-            value.sum().backward()
-            assert bool(torch.isfinite(value).all()) and bool((value >= 0).all())
-    for leaf in (low, high, *material.maps.values()):
-        assert leaf.grad is None or bool(torch.isfinite(leaf.grad).all())
+def test_at_grazing_directions_float32_agrees_with_float64_values_reach_a_limit_and_gradients_are_finite(name, options):
+    uv, values = torch.rand(2, 2, 3, dtype=torch.float64), {}
+    single, double = torch.float32, torch.float64
+    for dtype, z in ((single, 1e-4), (double, 1e-4), (single, 1e-12), (double, 1e-12), (double, 1e-9)):
+        material = on_waves(name, options, 3, 4, dtype)
+        low, high = unit(0.6, 0.8, z, dtype).requires_grad_(), unit(0.1, -0.3, 0.8, dtype).requires_grad_()
+        shaded = [
+            value.flatten() for pair in ((low, high), (high, low), (low, low))
+            for value in (material.shade(*pair), material.shade_at(uv.to(dtype), *pair))
+        ]
+        sum(value.sum() for value in shaded).backward()
+        for leaf in (low, high, *material.maps.values()):
+            assert leaf.grad is None or bool(torch.isfinite(leaf.grad).all())
+        values[dtype, z] = torch.cat(shaded).detach()
+        assert bool((values[dtype, z] >= 0).all()) and float(values[dtype, z].max()) > 0.1
+    for z in (1e-4, 1e-12):
+        # Rows of a table may change places where two angles are alike: measured 6e-4 of local_pca, 9e-6 of the others.
+        assert_close(values[single, z].double(), values[double, z], 2e-3 if "pca" in name else 5e-5)
+    # Harmonics end in a root of the height over the horizon, of 1e-9: measured 1.3e-4, the others 2e-6.
+    assert_close(values[double, 1e-9], values[double, 1e-12], 3e-4 if name == "hsh" else 1e-5)
 
 
 @pytest.fixture
