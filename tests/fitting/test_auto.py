@@ -411,11 +411,11 @@ def test_double_precision_chooses_the_same():
 
 
 def test_a_config_leaves_the_relief_to_the_data():
-    assert FitConfig(model="auto", target={"psnr": 25}).geometry == "auto"
+    assert FitConfig(model="auto", target={"psnr": 25}).geometry_word == "auto"
     assert FitConfig(model="ptm").geometry == "flat"
-    assert FitConfig(model="auto", geometry="flat", target={"psnr": 25}).geometry == "flat"
+    assert FitConfig(model="auto", geometry="flat", target={"psnr": 25}).geometry_word == "flat"
 
 
 def test_the_example_config_is_one():
     config = load_config(Path(__file__).parents[2] / "configs" / "auto.toml", ["target.psnr=20"])
-    assert (config.model, config.geometry, config.target) == ("auto", "auto", {"psnr": 20})
+    assert (config.model, config.geometry_word, config.target) == ("auto", "auto", {"psnr": 20})

@@ -54,7 +54,7 @@ def kept(monkeypatch, some, decibels, **more):
 
 def test_what_pays_is_kept_and_named_in_the_order_of_the_ladder(monkeypatch):
     rung, tried = kept(monkeypatch, [A, B, C], lambda names: 20 + 2 * ("a" in names) + 0.01 * ("b" in names) + ("c" in names))
-    assert rung.name == "distribution + a + c" and rung.options["a"] == rung.options["c"] == "yes" and "b" not in rung.options
+    assert rung.name == "distribution + a + c" and rung.options["a"] is rung.options["c"] is True and "b" not in rung.options
     assert tried == [frozenset(), {"a"}, {"a", "b"}, {"a", "c"}]
 
 
