@@ -249,9 +249,10 @@ def _pixels(**changed):
 ])
 def test_what_a_reader_promises_is_held_against_what_it_gives(toy, file, pixels, words):
     _swapped(toy, pixels=pixels)
+    before = threading.active_count()
     with pytest.raises((DataError, tm.ShapeError), match=words):
         tm.load_btf(file)
-    assert threading.active_count() == 1
+    assert threading.active_count() <= before
 
 
 @pytest.mark.parametrize("change, words", [
