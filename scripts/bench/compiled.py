@@ -15,7 +15,7 @@ from torchmat.models.edit import resized
 _SIZE, _BATCH, _REPEATS = 512, 12, 11
 _MODELS: dict[str, dict[str, Any]] = {
     "lambert": {}, "hsh": {}, "phong_srf": {"residual": "half_light"},
-    "distribution": {"lobes": 1, "fresnel": True, "rotation": True, "effort": 0.05},
+    "distribution": {"geometry": "flat", "lobes": 1, "fresnel": True, "rotation": True, "effort": 0.05},
 }
 
 

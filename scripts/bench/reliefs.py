@@ -93,7 +93,7 @@ def relief() -> list[dict[str, Any]]:
         btf, tiles = _load(data), data != "disk"
         for text in MODELS:
             model, options = parse_model(text)
-            flat = tm.fit(btf, model, tiles=tiles, **options).report
+            flat = tm.fit(btf, model, geometry="flat", tiles=tiles, **options).report
             found = tm.fit(btf, model, geometry="recover", tiles=tiles, **options).report
             rows.append({
                 "data": data, "model": text, "chosen": found["figures"]["geometry"]["chosen"],

@@ -25,9 +25,9 @@ PARTS = ("texels", "samples", "large", "bonn")
 MODELS: dict[str, dict[str, Any]] = {
     "texture": {}, "lambert": {}, "ptm": {}, "hsh": {}, "phong_srf": {"residual": "half_light"}, "pca": {},
     "sphere_images": {}, "shading_map": {}, "local_pca": {},
-    "distribution": {"lobes": 1, "fresnel": False, "rotation": False, "effort": 0.05, "memory_mb": 3000},
+    "distribution": {"geometry": "flat", "lobes": 1, "fresnel": False, "rotation": False, "effort": 0.05, "memory_mb": 3000},
 }
-BONN_MODELS = {**MODELS, "lptm": {}, "neural": {"seconds": 60}}
+BONN_MODELS = {**MODELS, "lptm": {}, "neural": {"geometry": "flat", "seconds": 60}}
 # 1024 x 1024 within a bound, by tiles; the distribution has one already.
 LARGE_MODELS = {name: {**MODELS[name], "memory_mb": 800} for name in ("ptm", "phong_srf", "pca", "shading_map")}
 _HELD_OUT = 48  # samples that the error is measured on

@@ -19,7 +19,7 @@ from torchmat.report.pictures import plotting, save_figure
 
 _MODELS = {
     "lambert": {}, "ptm": {}, "phong_srf": {"residual": "half_light"}, "pca": {},
-    "distribution": {"lobes": 1},
+    "distribution": {"geometry": "flat", "lobes": 1},
 }
 _REPEATS, _SLOW = 5, ("distribution",)
 _LIGHT = Directional((-0.4, 0.5, 0.77))
