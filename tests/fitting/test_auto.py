@@ -412,7 +412,7 @@ def test_double_precision_chooses_the_same():
 
 def test_a_config_leaves_the_relief_to_the_data():
     assert FitConfig(model="auto", target={"psnr": 25}).geometry_word == "auto"
-    assert FitConfig(model="ptm").geometry == "flat"
+    assert FitConfig(model="ptm").geometry_word == "flat"
     assert FitConfig(model="auto", geometry="flat", target={"psnr": 25}).geometry_word == "flat"
 
 
