@@ -167,7 +167,7 @@ def test_too_little_memory_says_how_much_is_needed():
     with pytest.raises(RangeError, match="memory_mb must be at least 1200; .* recovering the relief"):
         tm.fit(btf_of(), "texture", memory_mb=900, geometry="recover")
     needed = tile_memory._PROGRAM_MB + tile_memory._BLOCKS_MB + 20
-    with pytest.raises(RangeError, match="tile must fit into"):
+    with pytest.raises(RangeError, match="tile_size must fit into"):
         tm.fit(btf_of(), "texture", memory_mb=needed, tile_size=4000)
 
 
@@ -335,7 +335,7 @@ def test_other_data_has_another_key():
 def test_the_command_goes_on_where_it_was(tmp_path, capsys):
     from torchmat.cli import main
 
-    (tmp_path / "fit.toml").write_text('model = "texture"\ntile = 32\n')
+    (tmp_path / "fit.toml").write_text('model = "texture"\ntile_size = 32\n')
     work, out = tmp_path / "work", tmp_path / "out"
     assert main(["fit", str(tmp_path / "fit.toml"), "--out", str(out), "--work", str(work), "--no-pictures"]) == 0
     assert json.loads((out / "report.json").read_text())["figures"]["tiles"]["side"] == 32 and not work.exists()
@@ -343,5 +343,5 @@ def test_the_command_goes_on_where_it_was(tmp_path, capsys):
 
 def test_a_config_names_tile_and_memory():
     assert FitConfig("ptm", tile_size=64, memory_mb=2000).tile_size == 64
-    with pytest.raises(RangeError, match="tile"):
+    with pytest.raises(RangeError, match="tile_size"):
         FitConfig("ptm", tile_size=-1)

@@ -297,7 +297,7 @@ def test_a_config_that_is_too_much_for_the_parser(tmp_path, text):
 
 def test_a_config_with_a_name_that_no_file_can_have():
     with pytest.raises(DataError, match=r"the config must be readable"):
-        load_config("a\0b")
+        load_config("a\0b.toml")
 
 
 # One content in many forms

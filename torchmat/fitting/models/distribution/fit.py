@@ -90,10 +90,13 @@ class _Fit:
     templates: dict[tuple[str, ...], Distribution] = field(default_factory=dict)
     known: dict[str, Tensor] = field(default_factory=dict)  # parameters that are no unknowns here
 
-    def run(self) -> Fitted:
+    def __post_init__(self) -> None:
         training = self.surface.training
         self.level = mean_value(training) if training.shared is None else training.shared.level
         self.objective = Objective(self.options.objective, self.level)
+
+    def run(self) -> Fitted:
+        training = self.surface.training
         starts = find_starts(self.surface, self.level)
         parts, pilots = self._choose(starts)
         raw = self._begin(starts, parts)
