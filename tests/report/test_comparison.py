@@ -12,6 +12,7 @@ from tests.support import all_pairs, hemisphere, plausible_images
 
 import torchmat as tm
 from torchmat import Btf, RangeError
+from torchmat.fitting.geometry import Flat, Recover
 from torchmat.report import compare, write_comparison
 from torchmat.report.comparison import closed_forms, default_models, parse_model
 from torchmat.report.compare_plots import PLOTS, write_plots
@@ -20,7 +21,7 @@ from torchmat.report.place_labels import overlap, place
 from torchmat.report.tables import COMPARE_COLUMNS, COMPARE_MEANINGS, comparison_table
 
 LIGHT, VIEW = all_pairs(hemisphere(), hemisphere(((0, 1), (60, 3))))
-NEURAL = "neural:latent=2,hidden=4,effort=0.004"
+NEURAL = "neural:geometry=flat,latent=2,hidden=4,effort=0.004"
 
 
 @pytest.fixture(scope="module")
@@ -96,9 +97,10 @@ def test_memory_is_that_of_the_fit_or_unknown(rows):
 
 
 def test_geometry_may_stand_in_a_models_text(btf):
-    entry = entry_of("lambert:geometry=recover,storage=png8", "flat")
-    assert (entry.model, entry.options, entry.geometry) == ("lambert", {"storage": "png8"}, "recover")
-    assert entry_of("lambert", "recover").geometry == "recover"
+    entry = entry_of("lambert:geometry=recover,storage=png8", Flat())
+    assert (entry.model, entry.options, entry.geometry) == ("lambert", {"storage": "png8"}, Recover())
+    assert entry_of("lambert", Recover()).geometry == Recover()
+    assert entry_of("lambert", None).geometry == Flat() and entry_of("neural", None).geometry == Recover(or_flat=True)
     assert parse_model("lambert:geometry=flat") == ("lambert", {"geometry": "flat"})
     with pytest.raises(RangeError, match="Did you mean 'recover'"):
         parse_model("lambert:geometry=recovr")

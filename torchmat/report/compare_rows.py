@@ -13,7 +13,7 @@ from torchmat.errors import FitError, RangeError, message
 from torchmat.fitting import FitResult, fit
 from torchmat.fitting.config import parse_value
 from torchmat.fitting.evaluate import evaluate, evaluate_parts
-from torchmat.fitting.geometry import Geometry, check_word, resolve_geometry
+from torchmat.fitting.geometry import Geometry, Given, check_word, resolve_geometry
 from torchmat.fitting.recipe import recipe_of
 from torchmat.fitting.recipes import AUTO, resolve_options
 from torchmat.machine import MemoryMark
@@ -44,6 +44,11 @@ class Entry:
     @property
     def _solver(self) -> Solver:
         return resolve_options(self.model, self.options)["solver"]
+
+    @property
+    def where(self) -> tuple[str, ...]:
+        """What its geometry is, in words that tell two of them apart."""
+        return (self.geometry.word, str(self.asked)) if isinstance(self.geometry, Given) else (self.geometry.word,)
 
     @property
     def iterates(self) -> bool:

@@ -99,7 +99,7 @@ def _entries(models: Sequence[str], geometry: Any) -> list[Entry]:
     entries = [entry_of(text, surface) for text in models]
     seen: dict[str, str] = {}
     for entry in entries:
-        key = repr((entry.model, entry.geometry.word, entry.asked, sorted(resolve_options(entry.model, entry.options).items())))
+        key = repr((entry.model, entry.where, sorted(resolve_options(entry.model, entry.options).items())))
         if key in seen:
             fact = f"{entry.text!r} is the same as {seen[key]!r}"
             raise RangeError(message("compare", "the models", "differ", fact, "Use repeats to fit one several times."))
