@@ -81,9 +81,9 @@ class Scene:
             self._seen[dtype] = see(self.mesh, self.camera, self.size, self.rays, self.edges_only, self.repeat, dtype)
         return self._seen[dtype]
 
-    def picture(self, material: Shader) -> Tensor:
-        """Return the linear picture [3, rows, columns] of a material in this scene."""
-        return shade_visible(material, self.visible(material.dtype), self.lights, self.shadows)
+    def picture(self, material: Shader, gradient: bool = False) -> Tensor:
+        """Return the linear picture [3, rows, columns] of a material in this scene; with `gradient`, one in its maps."""
+        return shade_visible(material, self.visible(material.dtype), self.lights, self.shadows, gradient)
 
     def use(self) -> SceneUse:
         """Return what the scene uses of a material: the points that are seen and lit, and how much they count.
