@@ -23,7 +23,7 @@ OUTSTANDING = 10  # times the usual texel: brighter ones count as that bright wh
 def check_objective(where: str, asked: object, more: tuple[str, ...] = ()) -> None:
     """Raise RangeError, with the choices, unless `asked` is the name of an objective or a callable."""
     if not callable(asked):
-        check_option(where, "objective", asked, (*more, *OBJECTIVES, "a callable residual(predicted, target, weight)"))
+        check_option(where, "objective", asked, dict.fromkeys((*more, *OBJECTIVES, "a callable residual(predicted, target, weight)")))
 
 
 def describe_objective(asked: str | Residual) -> str:
