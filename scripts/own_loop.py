@@ -52,8 +52,8 @@ def loss_of_picture(material: tm.Material, scene: tm.Scene, wanted: Tensor) -> T
 
 
 def train(
-    material: tm.Material, btf: tm.Btf, rows: Tensor, steps: int, rate: float, pictures: Sequence[tuple[tm.Scene, Tensor]] = (),
-    batch: int = 24,
+    material: tm.Material, btf: tm.Btf, rows: Tensor, steps: int, rate: float,
+    pictures: Sequence[tuple[tm.Scene, Tensor]] = (), batch: int = 24,
 ) -> list[float]:
     """Descend on random images, and on the pictures in turn where there are any; return the loss of each step."""
     optimiser = torch.optim.Adam(material.parameters(), lr=rate)

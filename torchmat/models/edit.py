@@ -19,7 +19,8 @@ from torchmat.models.resample import ANY_SIZE, FILTERS, VECTORS, resample, resam
 from torchmat.models.storage import MapSpec, check_map
 
 __all__ = [
-    "FILTERS", "VECTORS", "add_part", "drop_part", "neutral_part", "replace_map", "resample", "resampled", "resized", "with_options",
+    "FILTERS", "VECTORS", "add_part", "drop_part", "neutral_part", "replace_map", "resample", "resampled", "resized",
+    "with_options",
     "without_idle_parts",
 ]
 _Edited = TypeVar("_Edited", bound=Material)
