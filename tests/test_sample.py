@@ -55,6 +55,6 @@ def _image(btf, view: int, light: int):
 
 
 def test_missing_sample_is_said(monkeypatch):
-    monkeypatch.setattr("torchmat.sample._FOLDER", "nowhere")
+    monkeypatch.setattr("torchmat.sample.FOLDER", "nowhere")
     with pytest.raises(tm.DataError, match="make_sample"):
         tm.sample_path()

@@ -9,7 +9,7 @@ import numpy as np
 
 from torchmat.errors import DataError, message
 
-_FOLDER = "data"
+FOLDER = "data"
 
 
 def sample_path() -> Path:
@@ -17,7 +17,7 @@ def sample_path() -> Path:
 
     Made by ``scripts/make_sample.py`` with Mitsuba 3.
     """
-    path = Path(str(files("torchmat") / _FOLDER / "sample.zip"))
+    path = Path(str(files("torchmat") / FOLDER / "sample.zip"))
     if not path.is_file():
         step = "Install the package again, or run scripts/make_sample.py."
         raise DataError(message(str(path), "the embedded sample", "exist", "it is not there", step))

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import math
-import sys
 from collections.abc import Callable
 from typing import Any
-from unittest import mock
 
 import torch
 from measure import RESULTS, SHARED
@@ -14,7 +12,6 @@ from measure import RESULTS, SHARED
 import torchmat as tm
 from torchmat.btf.btf import Btf
 from torchmat.fitting.evaluate import evaluate
-from torchmat.fitting.models.any_model import fit_by_descent
 from torchmat.fitting.recipe import RECIPES
 from torchmat.fitting.recipes import resolve_options
 from torchmat.fitting.training import Fitted, Training, make_training
@@ -64,13 +61,9 @@ def _own(model: str, options: dict[str, Any]) -> Run:
 
 
 def _adam(model: str, options: dict[str, Any], rate: float) -> Run:
-    if model == "distribution":
-        def run(training: Training) -> Fitted:
-            with mock.patch.object(sys.modules["torchmat.fitting.models.distribution.fit"], "_RATE", rate):
-                return RECIPES[model].run(training, **resolve_options(model, {**options, "solver": "adam", "effort": 100.0}))
-        return run
-    chosen = {name: value for name, value in resolve_options(model, options).items() if name != "solver"}
-    return lambda training: fit_by_descent(training, RECIPES[model].fit, "adam", chosen, rate=rate, steps=10**6, tolerance=-1.0)
+    # As many steps as there is time for; a tolerance that nothing meets.
+    solver = tm.Adam(steps=50_000, rate=rate) if model == "distribution" else tm.Adam(10**6, rate, tolerance=1e-30)
+    return _own(model, {**options, "solver": solver})
 
 
 def _row(data: str, model: str, solver: str, curve: Curve, target: float, own: float, **more: Any) -> dict[str, Any]:

@@ -265,7 +265,7 @@ def test_a_window_is_given_in_whole_texels():
 
 
 def test_a_window_of_a_mapped_file_lets_its_pages_go(tmp_path, monkeypatch):
-    monkeypatch.setattr(store_module, "_RELEASE_BYTES", 0)
+    monkeypatch.setattr(store_module, "RELEASE_BYTES", 0)
     images = np.random.default_rng(0).uniform(0, 1, (40, 3, 32, 32)).astype(np.float32)
     images.tofile(tmp_path / "pixels")
     mapped = np.memmap(tmp_path / "pixels", np.float32, "c", shape=images.shape)

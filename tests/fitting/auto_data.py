@@ -26,7 +26,7 @@ def with_parts(monkeypatch, parts, **bare):
 
 def shorten_fits(monkeypatch) -> None:
     """Let the distribution material, which hardly a test of the choice is about, take a tenth of a second."""
-    monkeypatch.setattr(parts, "_EFFORT", 0.002)
+    monkeypatch.setattr(parts, "EFFORT", 0.002)
     with_parts(monkeypatch, (), effort=0.002, specular_size=8)
 
 

@@ -100,7 +100,7 @@ def test_samples_of_no_importance_leave_no_trace():
 
 
 def test_more_images_than_memory_is_meant_for_take_turns(monkeypatch):
-    monkeypatch.setattr(neural, "_POOL_VALUES", 3 * 42 * 20)  # 20 images at a time
+    monkeypatch.setattr(neural, "POOL_VALUES", 3 * 42 * 20)  # 20 images at a time
     fills = []
     honest = neural._Fit._decode
 
@@ -115,7 +115,7 @@ def test_more_images_than_memory_is_meant_for_take_turns(monkeypatch):
 
 
 def test_many_texels_are_dealt_into_groups_and_come_back_in_place(monkeypatch):
-    monkeypatch.setattr(neural, "_FEWEST_TEXELS", 16)
+    monkeypatch.setattr(neural, "FEWEST_TEXELS", 16)
     btf = plausible(size=(9, 11))
     result = tm.fit(btf, "neural", geometry="flat", effort=0.03, storage="float", measure=False, **SMALL)
     every = torch.arange(len(btf))

@@ -123,14 +123,14 @@ def test_every_model_is_repaired_where_a_map_was_spoilt(btf, model, options):
 
 
 @pytest.mark.parametrize(("model", "options"), [
-    ("ptm", {}), ("distribution", {"lobes": 1, "effort": 0.1, "specular_size": 8, "fresnel": False, "rotation": False}),
+    ("ptm", {}), ("distribution", {"lobes": 1, "effort": 0.04, "specular_size": 8, "fresnel": False, "rotation": False}),
 ])
 def test_a_wrong_height_moves_to_where_the_images_want_it(model, options):
     scene = relief_scene()
     btf, truth = scene.btf(), torch.as_tensor(scene.true_height, dtype=torch.float32)
     material = tm.fit(btf, model, geometry=scene.true_height, measure=False, progress=False, **options).material
     wrong = material.with_maps(height=0.9 * truth)
-    found, kept = (refit(btf, wrong, keep, steps=100) for keep in ([], ["height"]))
+    found, kept = (refit(btf, wrong, keep, steps=50) for keep in ([], ["height"]))
     assert torch.equal(kept.material.maps["height"], wrong.maps["height"])
     # Measured after 200 steps: 2.4 dB and 3.2 dB, and a height 5 % and 57 % nearer to the truth.
     assert found.report["held_out_after"]["psnr_db"] > kept.report["held_out_after"]["psnr_db"] + 1

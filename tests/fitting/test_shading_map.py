@@ -68,7 +68,7 @@ LAMBERT = {"slices": COUNT, "brdf": "lambert"}
 
 
 def test_images_are_predicted_where_the_stack_can_show_them(monkeypatch):
-    monkeypatch.setattr(fitting, "_RIDGE", 0.0)
+    monkeypatch.setattr(fitting, "RIDGE", 0.0)
     # Lit along the normal too, so that the brightest sample shows the last slice and layers are the true ones.
     light = np.concatenate((LIGHT, [[0.0, 0.0, 1.0]]))
     images = lambert_images(true_stack(), light)
@@ -97,7 +97,7 @@ def test_noise_is_averaged():
 
 @pytest.mark.parametrize("sectors", [3, 4])
 def test_sectors_are_recovered(sectors, monkeypatch):
-    monkeypatch.setattr(fitting, "_RIDGE", 0.0)
+    monkeypatch.setattr(fitting, "RIDGE", 0.0)
     light = hemisphere(tuple((polar, 13) for polar in (10, 25, 35, 45, 55, 65, 75, 85)) + ((0, 1),))
     view = np.tile([[0.0, 0, 1]], (len(light), 1))
     # The mean over the texels must not depend on the sector, or the lobe would not be Lambert's.
@@ -193,7 +193,7 @@ def test_the_projection_against_a_loop():
             hat = max(0.0, 1 - abs(place - layer))
             for bend in range(layer):
                 matrix[sample, bend] += hat * (layer - bend) * (fitting._SLOPE if bend == 0 else 1)
-    penalty = fitting._RIDGE * (matrix**2).sum(axis=0).mean()
+    penalty = fitting.RIDGE * (matrix**2).sum(axis=0).mean()
     slices = np.linalg.solve(matrix.T @ matrix + penalty * np.eye(4), matrix.T @ curves)
     left = (curves - matrix @ slices).ravel() / np.linalg.norm(curves)
     anchor = 0.1 * (r - means) / np.linalg.norm(means)

@@ -180,7 +180,7 @@ def test_a_full_search_is_given_every_step():
 
 
 def test_one_map_after_the_other_is_made_smaller_while_there_is_something_to_spare(monkeypatch):
-    monkeypatch.setattr(shrink_module, "_TRIES", 0)  # nothing but the one map that saves most to begin with
+    monkeypatch.setattr(shrink_module, "TRIES", 0)  # nothing but the one map that saves most to begin with
     material, truth = lptm(wave(3) + 0.02 * noise(3), wave(6) + 0.05 * noise(6, seed=1))
     cost = squared(truth)
     sizes = [None, (8, 8), (4, 4), (2, 2), (1, 1)]

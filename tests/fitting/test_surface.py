@@ -225,7 +225,7 @@ def test_samples_in_a_mapped_file_have_the_same_bits(options, monkeypatch):
     scene = relief_scene(**options)
     results = []
     for most in (10**12, 0):
-        monkeypatch.setattr(surfaces, "_IN_MEMORY", most)
+        monkeypatch.setattr(surfaces, "IN_MEMORY", most)
         surface = bring_onto(training_of(scene, torch.float32), scene.true_height)
         assert isinstance(surface.pixels, np.memmap) == (most == 0)
         brought = surface.pixels.copy(), surface.flags.copy()
@@ -239,7 +239,7 @@ def test_samples_in_a_mapped_file_have_the_same_bits(options, monkeypatch):
 def test_samples_in_small_blocks_are_the_same(monkeypatch):
     scene = relief_scene()
     whole = bring_onto(training_of(scene), scene.true_height)
-    monkeypatch.setattr(surfaces, "_BLOCK", 1)
+    monkeypatch.setattr(surfaces, "BLOCK", 1)
     single = bring_onto(training_of(scene), scene.true_height)
     assert np.array_equal(whole.flags, single.flags)
     assert_close(torch.from_numpy(single.pixels), torch.from_numpy(whole.pixels), 1e-12)

@@ -152,9 +152,9 @@ def test_masked_and_clipped_texels_count_alike_in_tiles(model):
 
 def test_memory_decides_the_side_of_the_tiles(monkeypatch):
     btf, report = btf_of(), []
-    monkeypatch.setattr(tile_memory, "_LEAST_SIDE", 2)
-    monkeypatch.setattr(tile_memory, "_FEWEST_TEXELS", 4)
-    monkeypatch.setattr(tile_memory, "_STEP", 2)
+    monkeypatch.setattr(tile_memory, "LEAST_SIDE", 2)
+    monkeypatch.setattr(tile_memory, "FEWEST_TEXELS", 4)
+    monkeypatch.setattr(tile_memory, "STEP", 2)
     for extra in (0.2, 1.0, 3.0):
         mb = tile_memory._PROGRAM_MB + tile_memory._BLOCKS_MB * 2 + 0.4 + extra
         report.append(tm.fit(btf, "texture", dtype=torch.float64, memory_mb=mb).report["figures"]["tiles"]["side"])

@@ -113,7 +113,7 @@ def dense(
 @pytest.mark.parametrize("residual", [1e-13, None], ids=["converged", "as it stops"])
 def test_random_weights_against_a_dense_solve(size, tiles, residual, monkeypatch):
     if residual is not None:
-        monkeypatch.setattr(integrate, "_TOLERANCE", residual)
+        monkeypatch.setattr(integrate, "TOLERANCE", residual)
     random = np.random.default_rng(size[0] * 10 + size[1])
     slopes = random.normal(size=(2, *size))
     weight = random.uniform(0.1, 3, size)

@@ -128,7 +128,7 @@ def test_shifted_maps_equal_looked_up_ones(monkeypatch, tiles):
     height = smooth_height(20, 24)
     views = torch.stack([unit(*view) for view in VIEWS[1:]])
     looked_up = trace_view(height, views, tiles=tiles), clearance(height, views, tiles=tiles)
-    monkeypatch.setattr(rays, "_SHIFT_TEXELS", 1)
+    monkeypatch.setattr(rays, "SHIFT_TEXELS", 1)
     shifted = trace_view(height, views, tiles=tiles), clearance(height, views, tiles=tiles)
     assert torch.allclose(looked_up[0].uv, shifted[0].uv, atol=1e-9)
     assert torch.allclose(looked_up[1], shifted[1], atol=1e-9)

@@ -195,7 +195,7 @@ def test_bad_lists_of_jobs(tmp_path, text, problem):
 
 
 def test_no_scheduler_is_an_error_that_says_how_to_start_one(monkeypatch):
-    monkeypatch.setattr(cluster_module, "_PATIENCE", 0.5)
+    monkeypatch.setattr(cluster_module, "PATIENCE", 0.5)
     for address in ("tcp://127.0.0.1:9", "nonsense"):
         with pytest.raises(DataError, match=f"the scheduler {address} must be reachable"):
             with cluster_module.cluster(1, address):

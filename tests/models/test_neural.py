@@ -39,7 +39,7 @@ def test_images_that_go_through_by_turns_give_the_same(monkeypatch):
     light, view = per_image(directions(7)), per_image(directions(7, seed=2))
     texel = per_texel(4, 5)
     whole = material.shade(light, view), material.shade(light, texel)
-    monkeypatch.setattr(neural, "_COLUMNS", 40)  # two images at a time
+    monkeypatch.setattr(neural, "COLUMNS", 40)  # two images at a time
     assert_same(material.shade(light, view), whole[0], 1e-14)
     assert_same(material.shade(light, texel), whole[1], 1e-14)
 

@@ -366,7 +366,7 @@ def test_at_grazing_directions_float32_agrees_with_float64_values_reach_a_limit_
 @pytest.fixture
 def exact_roots(monkeypatch):
     """Refine hits to the last bit, so that a difference of two values is not a difference of two rounding errors."""
-    monkeypatch.setattr(rays, "_REFINEMENTS", 80)
+    monkeypatch.setattr(rays, "REFINEMENTS", 80)
 
 
 def _floats(material) -> list[str]:
@@ -441,7 +441,7 @@ def test_gradient_through_the_penumbra_matches_differences(how, exact_roots):
 @pytest.mark.parametrize("large", [True, False])
 def test_gradient_of_the_directions_matches_differences(needs, large, exact_roots, monkeypatch):
     # Neither a frozen height nor the shifted maps of a large one may lose the way back to light and view.
-    monkeypatch.setattr(rays, "_SHIFT_TEXELS", 1 if large else 10**9)
+    monkeypatch.setattr(rays, "SHIFT_TEXELS", 1 if large else 10**9)
     material = on_waves("phong_srf", {"residual": "half", "base": "phong"})
     material.requires_grad_(needs)
     pair = [unit(0.3, -0.9, 0.32), unit(0.2, -0.3, 0.8)]

@@ -78,7 +78,7 @@ def test_environments_are_thinned_evenly():
     lights = [Directional((x, 0.2, 1.0), (0.5, 0.5, 0.5)) for x in (-0.5, -0.25, 0.0, 0.25, 0.5)]
     full = Scene("sphere", lights, size=64).use()
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(module, "_MOST_PAIRS", 8_000)
+        patch.setattr(module, "MOST_PAIRS", 8_000)
         few = Scene("sphere", lights, size=64).use()
     assert len(few.weight) < len(full.weight) / 3
     assert torch.equal(few.uv, full.uv)

@@ -21,7 +21,7 @@ from torchmat.errors import DataError, ShapeError, message
 from torchmat.images import read_image
 from torchmat.progress import progress
 
-_CHUNK = 64  # images that one thread decodes in a go; smaller tasks spend their time in hand-over
+CHUNK = 64  # images that one thread decodes in a go; smaller tasks spend their time in hand-over
 _CHUNK_BYTES = 2**28  # of them: a container may give all of a go at once
 
 
@@ -158,7 +158,7 @@ def decode_samples(
     table["checksum"] = np.zeros(count, dtype=np.uint32)
     rows, columns = normalise.window
     size = (rows.stop - rows.start) * (columns.stop - columns.start) * images.shape[2] * images.dtype.itemsize
-    chunk = max(1, min(_CHUNK, _CHUNK_BYTES // size))
+    chunk = max(1, min(CHUNK, _CHUNK_BYTES // size))
     one_at_a_time = threading.Lock()
 
     def taken(samples: range) -> Iterable[np.ndarray]:

@@ -9,7 +9,7 @@ import numpy as np
 
 # Flag codes of a sample. Zero means valid, so that an untouched (sparse) file of flags means "all valid".
 VALID, CLIPPED, INVALID = 0, 1, 2
-_RELEASE_BYTES = 256_000_000  # a smaller store stays mapped: faulting its pages in again costs more than it saves
+RELEASE_BYTES = 256_000_000  # a smaller store stays mapped: faulting its pages in again costs more than it saves
 
 
 @dataclass
@@ -33,7 +33,7 @@ class PixelStore:
         """Drop the mapped pages of `samples` from memory, so that a pass over a large file leaves no trace of itself."""
         for array in (self.pixels, self.flags):
             mapped = getattr(array, "_mmap", None)
-            if array is None or mapped is None or len(mapped) <= _RELEASE_BYTES or not hasattr(mmap, "MADV_DONTNEED"):
+            if array is None or mapped is None or len(mapped) <= RELEASE_BYTES or not hasattr(mmap, "MADV_DONTNEED"):
                 continue
             row = array.strides[0]  # of the whole sample in the file, also where the array shows a window of it
             first = samples.start * row // mmap.PAGESIZE * mmap.PAGESIZE  # advice is given for whole pages

@@ -11,6 +11,7 @@ from torch import Tensor
 from torchmat.errors import RangeError, check_option, message
 from torchmat.fitting.training import Training
 from torchmat.repeatable import one_thread
+from torchmat.solvers import Solver
 
 Residual = Callable[[Tensor, Tensor, Tensor], Tensor]
 LINEAR, DISPLAY = "linear", "display"
@@ -23,7 +24,8 @@ OUTSTANDING = 10  # times the usual texel: brighter ones count as that bright wh
 def check_objective(where: str, asked: object, more: tuple[str, ...] = ()) -> None:
     """Raise RangeError, with the choices, unless `asked` is the name of an objective or a callable."""
     if not callable(asked):
-        check_option(where, "objective", asked, (*more, *OBJECTIVES, "a callable residual(predicted, target, weight)"))
+        own = "a callable residual(predicted, target, weight)"
+        check_option(where, "objective", asked, dict.fromkeys((*more, *OBJECTIVES, own)))
 
 
 def describe_objective(asked: str | Residual) -> str:
@@ -95,7 +97,8 @@ def mean_value(training: Training) -> float:
 def described(options: dict[str, Any]) -> dict[str, Any]:
     """Return a fit's options as JSON holds them: solver and objective by name, or the settings beside it."""
     found = dict(options)
-    for name, text in (("solver", lambda one: one if isinstance(one, str | dict) else one.described()), ("objective", describe_objective)):
-        if name in found:
-            found[name] = text(found[name])
+    if isinstance(found.get("solver"), Solver):
+        found["solver"] = found["solver"].described()
+    if "objective" in found:
+        found["objective"] = describe_objective(found["objective"])
     return found

@@ -184,7 +184,8 @@ class Recipe:
     @property
     def kinds(self) -> dict[str, Any]:
         """What each option may be: a type, or a union of types and literal words."""
-        found = {"steps": int, "rate": float, **typing.get_type_hints(self.fit or self.start), "solver": str, "objective": str}
+        hints = typing.get_type_hints(self.fit or self.start)
+        found = {"steps": int, "rate": float, **hints, "solver": str, "objective": str}
         return {name: found.get(name, type(default)) for name, default in self.options.items()}
 
     @property
@@ -209,7 +210,8 @@ class Recipe:
             others = [name for name in self.all_solvers if issubclass(SOLVERS[name], Stepping)]
             step = f"Give solver={' or '.join(map(repr, others))}, which make any small."
             step = step if others else "A fit that goes on from the material takes any: fit(btf, material, objective=...)."
-            raise RangeError(message(where, "objective", f"be {self.objective!r} by {solver.name}", f"it is {objective!r}", step))
+            wanted = f"be {self.objective!r} by {solver.name}"
+            raise RangeError(message(where, "objective", wanted, f"it is {objective!r}", step))
         return solver
 
     def run(self, training: Training, **options: Any) -> Fitted:
@@ -217,7 +219,8 @@ class Recipe:
         solver, objective = self.solver_of(options), options.pop("objective", self.objective)
         options.pop("solver", None)
         if self.fit is None:
-            material = self.start(training, **{name: value for name, value in options.items() if name not in ("steps", "rate")})
+            own = {name: value for name, value in options.items() if name not in ("steps", "rate")}
+            material = self.start(training, **own)
             tables = [spec.name for spec in material.own_specs() if spec.constant or not spec.per_texel]
             known = {name: training.table(name) for name in tables if training.table(name) is not None}
             material = material.with_maps(**known) if known else material

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from torchmat.errors import RangeError, ShapeError, check_finite, message
 
-_TOLERANCE = 1e-5  # of the right-hand side's norm: far below what any slope is known to
+TOLERANCE = 1e-5  # of the right-hand side's norm: far below what any slope is known to
 _MOST_STEPS = 200
 _TRACE = 1e-3  # of the largest weight, kept everywhere: it is what makes holes smooth, and the system solvable
 
@@ -151,7 +151,7 @@ def _conjugate_gradients(
     step = precondition(residual)
     energy = (residual * step).sum()
     for _ in range(_MOST_STEPS):
-        if float(residual.norm()) <= _TOLERANCE * float(right.norm()) or float(energy) <= 0:
+        if float(residual.norm()) <= TOLERANCE * float(right.norm()) or float(energy) <= 0:
             break
         moved = apply(step)
         length = energy / (step * moved).sum().clamp(min=1e-300)

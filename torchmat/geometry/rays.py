@@ -22,8 +22,8 @@ from torchmat.geometry.normals import check_height, pad_border
 from torchmat.planes import common_lead
 
 _STEPS_PER_TEXEL = 1.0
-_REFINEMENTS = 4
-_SHIFT_TEXELS = 10_000  # maps of at least so many texels are moved whole along a shared ray rather than looked up
+REFINEMENTS = 4
+SHIFT_TEXELS = 10_000  # maps of at least so many texels are moved whole along a shared ray rather than looked up
 _LARGEST_SLOPE = math.tan(math.radians(88.0))  # beyond, a ray crosses many tiles before it meets anything
 
 
@@ -70,7 +70,7 @@ class _Field:
         self.map, self.uv, self.slope, self.tiles = height[None], uv, slope, tiles
         rows, columns = height.shape[-2:]
         # A shift is a whole number of texels and a blend, both plain floats: no gradient would reach the direction.
-        large = rows * columns >= _SHIFT_TEXELS
+        large = rows * columns >= SHIFT_TEXELS
         self._shifts = centres and slope.shape[-2:] == (1, 1) and large and not slope.requires_grad
         if self._shifts:
             texels = slope[:, :, 0, 0].detach() * torch.tensor([columns, -rows], dtype=slope.dtype)  # rows run downward
@@ -189,7 +189,7 @@ def _first_root(field: _Field, low: float, high: float) -> Tensor:
         gap_above, gap_below = torch.where(new, gap_last, gap_above), torch.where(new, here, gap_below)
         found |= new
         last, gap_last = z, here
-    for _ in range(_REFINEMENTS):
+    for _ in range(REFINEMENTS):
         z = torch.lerp(above, below, safe.divide(gap_above, gap_above - gap_below).clamp(0, 1))
         here = field.at(z) - z
         outside = here < 0

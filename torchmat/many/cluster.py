@@ -14,7 +14,7 @@ from typing import Any
 from torchmat.errors import DataError, RangeError, message
 
 ALLOWED_FAILURES = 3  # times that the workers of one task may die before it counts as failed
-_PATIENCE = 10  # seconds to reach a scheduler
+PATIENCE = 10  # seconds to reach a scheduler
 
 
 @contextmanager
@@ -39,7 +39,7 @@ def _remote(address: str) -> Iterator[Any]:
 
     with _quiet():
         try:
-            client = Client(address, timeout=_PATIENCE, set_as_default=False)
+            client = Client(address, timeout=PATIENCE, set_as_default=False)
         except (OSError, TimeoutError, ValueError) as error:
             step = "Start it with `dask scheduler`, and workers with `dask worker`; addresses are tcp://HOST:PORT."
             fact = str(error).strip().split("\n")[0] or type(error).__name__

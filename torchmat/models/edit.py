@@ -19,7 +19,8 @@ from torchmat.models.resample import ANY_SIZE, FILTERS, VECTORS, resample, resam
 from torchmat.models.storage import MapSpec, check_map
 
 __all__ = [
-    "FILTERS", "VECTORS", "add_part", "drop_part", "neutral_part", "replace_map", "resample", "resized", "with_options",
+    "FILTERS", "VECTORS", "add_part", "drop_part", "neutral_part", "replace_map", "resample", "resampled", "resized",
+    "with_options",
     "without_idle_parts",
 ]
 _Edited = TypeVar("_Edited", bound=Material)
@@ -180,6 +181,18 @@ def without_idle_parts(material: Distribution) -> Distribution:
     if "normal" in idle:
         del maps["normal"]
     return with_options(material, maps, lobes=lobes, parts=[part for part in parts if part in maps])
+
+
+def resampled(material: Material, size: tuple[int, int]) -> Material:
+    """Return `material` with maps of `size` texels as `resized` filters them, through which gradients pass to its own.
+
+    For pictures of it: nothing is checked, and it is not to be stored.
+    """
+    maps = {
+        spec.name: resample_map(spec, material.maps[spec.name], size, tiles=material.tiles)
+        if spec.per_texel and not spec.constant else material.maps[spec.name] for spec in material.specs()
+    }
+    return material._unchecked(maps)
 
 
 def with_options(material: Distribution, maps: dict[str, Tensor], **options: object) -> Distribution:

@@ -20,7 +20,7 @@ from torchmat.models.storage import MapSpec
 from torchmat.repeatable import wide_product
 
 ANGLES = 8  # numbers that the network is told of light and view
-_COLUMNS = 32768  # texels x images that go through the network at a time: more leave the processor's cache
+COLUMNS = 32768  # texels x images that go through the network at a time: more leave the processor's cache
 
 Product = Callable[[Tensor, Tensor], Tensor]
 
@@ -94,7 +94,7 @@ class Neural(Material):
         known = known.movedim(-3, 0).reshape(ANGLES, -1, known.shape[-2] * known.shape[-1])
         latent = self.maps["latent"].flatten(1)
         layers = [self.maps[f"layer_{number}"][0] for number in range(len(self._widths))]
-        parts = known.split(max(1, _COLUMNS // latent.shape[1]), dim=1)
+        parts = known.split(max(1, COLUMNS // latent.shape[1]), dim=1)
         root = torch.cat([root_of_value(latent, part, layers) for part in parts], dim=1)
         return root.clamp(min=0).square().movedim(0, 1).reshape(*lead, 3, *self.size)
 

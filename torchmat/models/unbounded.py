@@ -20,7 +20,7 @@ from torchmat.repeatable import one_thread
 
 _LEAST = 1e-4  # of a map's usual size, or of its range: from a bound itself a logarithm never comes back
 _SMALLEST = 0.1  # of the usual size of constants: none is so small that it cannot move
-# Steps relative to the solver's rate: slopes are small numbers; tables and weights see many samples at each and can go faster.
+# Relative to the solver's rate: slopes are small numbers; tables and weights see many samples a step and can go faster.
 _SLOPES, _QUICK = 0.3, 2.0
 
 

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from torchmat.models import Material
-from torchmat.models.edit import resized
+from torchmat.models.edit import resampled, resized
 
 
 class Shader(Protocol):
@@ -20,18 +20,21 @@ class Shader(Protocol):
         """Return the value [..., 3, h, w] at texture coordinates `uv` [2, h, w], as `Material.shade_at` does."""
 
 
-def _halved(shader: Shader) -> Shader:
+def _halved(shader: Shader, gradient: bool) -> Shader:
     if isinstance(shader, Material):
         height, width = shader.size
-        return resized(shader, (max(1, (height + 1) // 2), max(1, (width + 1) // 2)))
+        return (resampled if gradient else resized)(shader, (max(1, (height + 1) // 2), max(1, (width + 1) // 2)))
     return shader.halved()
 
 
 class Pyramid:
-    """A shader and its copies of half the size, a quarter ..., each made when it is first needed."""
+    """A shader and its copies of half the size, a quarter ..., each made when it is first needed.
 
-    def __init__(self, shader: Shader) -> None:
-        self.levels = [shader]
+    With `gradient` gradients pass through the copies to the shader's own maps.
+    """
+
+    def __init__(self, shader: Shader, gradient: bool = False) -> None:
+        self.levels, self.gradient = [shader], gradient
         self.size: tuple[int, int] = getattr(shader, "whole_size", getattr(shader, "size", (1, 1)))
         # Halves are rounded up: 5 texels become 3, 2, 1.
         self._count = (max(self.size) - 1).bit_length() + 1 if self._shrinks(shader) else 1
@@ -53,8 +56,8 @@ class Pyramid:
     def at_level(self, level: int) -> Shader:
         """Return the shader of level 0 (full size), 1 (half) ..."""
         while len(self.levels) <= level:
-            with torch.no_grad():
-                self.levels.append(_halved(self.levels[-1]))
+            with torch.set_grad_enabled(self.gradient):
+                self.levels.append(_halved(self.levels[-1], self.gradient))
         return self.levels[level]
 
     def parts(self, footprint: Tensor) -> list[tuple[Shader, Tensor | slice, Tensor | None]]:

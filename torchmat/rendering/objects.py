@@ -14,17 +14,18 @@ from torchmat.rendering.visibility import Visible, check_outside
 
 
 def shade_visible(
-    shader: Shader | Pyramid, visible: Visible, lights: Sequence[Light], shadows: bool = False
+    shader: Shader | Pyramid, visible: Visible, lights: Sequence[Light], shadows: bool = False, gradient: bool = False
 ) -> Tensor:
     """Return the linear picture [3, rows, columns] of visible points under all `lights` together.
 
     Only points above whose horizon a light stands are shaded for it; with `shadows` only those that no other part of
     the mesh hides from it. Give a Pyramid to keep its smaller copies from one picture to the next.
+    With `gradient` the picture has one, in the maps of the shader.
     Raises RangeError when a light stands inside of the mesh.
     """
-    pyramid = shader if isinstance(shader, Pyramid) else Pyramid(shader)
+    pyramid = shader if isinstance(shader, Pyramid) else Pyramid(shader, gradient)
     check_lights(visible.mesh, lights)
-    with torch.no_grad():
+    with torch.set_grad_enabled(gradient):
         values = torch.zeros(3, 1, len(visible.pixel), dtype=visible.position.dtype)
         parts = pyramid.parts(visible.footprint)
         for light in lights:
@@ -60,10 +61,15 @@ def _add_light(values: Tensor, parts: list, visible: Visible, light: Light, shad
         if not len(chosen):
             continue
         shaded = shader.shade_at(*(_picked(plane, chosen) for plane in (visible.uv, local, visible.view)))
-        shaded *= _picked(intensity, chosen) if intensity.shape[-1] > 1 else intensity
+        shaded = _times(shaded, _picked(intensity, chosen) if intensity.shape[-1] > 1 else intensity)
         if weight is not None:
-            shaded *= weight[lit[which]]
+            shaded = _times(shaded, weight[lit[which]])
         values[:, 0].index_add_(1, chosen, shaded[:, 0])
+
+
+def _times(shaded: Tensor, factor: Tensor) -> Tensor:
+    """Return the product, in place where no gradient needs what was there."""
+    return shaded * factor if shaded.requires_grad else shaded.mul_(factor)
 
 
 def _in_frame(frame: Tensor, direction: Tensor) -> Tensor:

@@ -27,7 +27,7 @@ def render(
     material: Shader, mesh: str | Path | Mesh | trimesh.Trimesh | Scene = "sphere",
     lights: Sequence[Light | Sequence[float]] = _ONE_LIGHT, view: Sequence[float] = FRONT,
     size: int | tuple[int, int] = 512, repeat: float = 1.0, *, camera: Camera | None = None, shadows: bool = False,
-    rays: int = 4, edges_only: bool = False,
+    rays: int = 4, edges_only: bool = False, gradient: bool = False,
 ) -> Tensor:
     """Return a linear picture [3, rows, columns] of a material on an object.
 
@@ -47,6 +47,8 @@ def render(
         shadows: whether parts of the object hide others from the light.
         rays: 1, 4, 9 or 16 through a pixel.
         edges_only: whether pixels whose neighbours show the same get only one ray.
+        gradient: whether the picture has a gradient in the material's maps, for a loss over pictures; what is seen of the
+            object has none.
 
     Raises RangeError for what lies outside, ShapeError for directions that are not x, y, z, DataError for a bad mesh.
     """
@@ -55,13 +57,13 @@ def render(
         if not alone or (size, repeat, shadows, rays, edges_only) != (512, 1.0, False, 4, False):
             fact = "lights, camera or sizes are given beside it"
             raise RangeError(message("render", "a Scene", "come alone", fact, "Give them to the Scene."))
-        return mesh.picture(_checked(material))
+        return mesh.picture(_checked(material), gradient)
     picture_size(size, repeat, rays)
     _checked(material)
     if isinstance(mesh, str) and mesh == PATCH:
         lamps = [as_light(light) for light in lights]
-        return _patch(material, lamps, unit("render", "view", view, material.dtype), size, repeat)
-    return Scene(mesh, lights, camera, view, size, repeat, shadows, rays, edges_only).picture(material)
+        return _patch(material, lamps, unit("render", "view", view, material.dtype), size, repeat, gradient)
+    return Scene(mesh, lights, camera, view, size, repeat, shadows, rays, edges_only).picture(material, gradient)
 
 
 def _checked(material: Shader) -> Shader:
@@ -73,17 +75,19 @@ def _checked(material: Shader) -> Shader:
     return material
 
 
-def _patch(material: Shader, lights: list[Light], view: Tensor, size: int | tuple[int, int], repeat: float) -> Tensor:
+def _patch(
+    material: Shader, lights: list[Light], view: Tensor, size: int | tuple[int, int], repeat: float, gradient: bool
+) -> Tensor:
     if not isinstance(size, int):
         raise RangeError(message("render", "size of a patch", "be its columns", f"it is {size}", "Its rows follow."))
-    pyramid = Pyramid(material)
+    pyramid = Pyramid(material, gradient)
     height, width = pyramid.size
     rows = max(1, round(size * height / width))
     u = (torch.arange(size, dtype=view.dtype) + 0.5) / size * repeat
     v = (1 - (torch.arange(rows, dtype=view.dtype) + 0.5) / rows) * repeat
     uv = torch.stack(torch.meshgrid(v, u, indexing="ij")[::-1])
     picture = torch.zeros(3, rows, size, dtype=view.dtype)
-    with torch.no_grad():
+    with torch.set_grad_enabled(gradient):
         # Texels are as high as wide here, so across and down a pixel covers the same number of them.
         covered = repeat / size * width / max(height, width)
         parts = pyramid.parts(torch.full((1,), covered, dtype=view.dtype))
@@ -94,5 +98,5 @@ def _patch(material: Shader, lights: list[Light], view: Tensor, size: int | tupl
             direction, intensity, _ = light.reach(uv[:, None])
             for shader, _, weight in parts:
                 shaded = intensity * shader.shade_at(uv, direction, view[:, None, None])
-                picture += shaded if weight is None else shaded * weight
+                picture = picture + (shaded if weight is None else shaded * weight)
     return picture

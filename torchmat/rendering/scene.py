@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 PATCH = "patch"
 FRONT = (0.0, 0.0, 1.0)
-_MOST_PAIRS = 4_000_000  # of point and light; of more each light keeps every second, third ...
+MOST_PAIRS = 4_000_000  # of point and light; of more each light keeps every second, third ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,9 +81,9 @@ class Scene:
             self._seen[dtype] = see(self.mesh, self.camera, self.size, self.rays, self.edges_only, self.repeat, dtype)
         return self._seen[dtype]
 
-    def picture(self, material: Shader) -> Tensor:
-        """Return the linear picture [3, rows, columns] of a material in this scene."""
-        return shade_visible(material, self.visible(material.dtype), self.lights, self.shadows)
+    def picture(self, material: Shader, gradient: bool = False) -> Tensor:
+        """Return the linear picture [3, rows, columns] of a material in this scene; with `gradient`, one in its maps."""
+        return shade_visible(material, self.visible(material.dtype), self.lights, self.shadows, gradient)
 
     def use(self) -> SceneUse:
         """Return what the scene uses of a material: the points that are seen and lit, and how much they count.
@@ -99,7 +99,7 @@ class Scene:
             fact = "it sees none" if not len(visible.pixel) else "it sees the back of its surface alone"
             step = "Move the camera, or leave it out: then it frames the object."
             raise RangeError(message("Scene", "the camera", "see the object", fact, step))
-        step = max(1, -(-len(visible.pixel) * len(self.lights) // _MOST_PAIRS))
+        step = max(1, -(-len(visible.pixel) * len(self.lights) // MOST_PAIRS))
         lit = torch.zeros(len(visible.pixel), dtype=torch.bool)
         parts = []
         for number, light in enumerate(self.lights):

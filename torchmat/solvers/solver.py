@@ -1,4 +1,4 @@
-"""Solvers as objects: what may be asked for with its settings, and how those that step run on parameters and an objective."""
+"""Solvers as objects: what may be asked for, with its settings, and how those that step run on an objective."""
 
 from __future__ import annotations
 

@@ -24,7 +24,7 @@ from torchmat.progress import working
 if TYPE_CHECKING:
     from torchmat.fitting.choice.climb import Climb
 
-_EFFORT = 0.08  # of a whole fit: enough to say what a part is worth
+EFFORT = 0.08  # of a whole fit: enough to say what a part is worth
 _NEARLY_DB, _AGAIN = 0.03, 2  # gained by what is tried again, and how many are
 _HARDLY_DB, _BACK = 0.5, 2  # gained by what may go again, and how many may
 
@@ -74,7 +74,7 @@ class PartsClimb:
 
     def pilot(self, parts: tuple[Part, ...], before: Option | None, by: str, fewer: bool = False) -> Option:
         """Fit for a short time; note what that brings against `before`, which has a part less or, `fewer`, one more."""
-        start, rung = self.climb.watch.seconds, self.rung(parts, effort=_EFFORT)
+        start, rung = self.climb.watch.seconds, self.rung(parts, effort=EFFORT)
         with working(f"trying {named(rung, self.height)}", self.climb.training.progress):
             fitted = self.recipe.on_relief(self.surface, self.height, **rung.settings)
         return self.climb.tried_shortly(rung, fitted, self.height, start, before, by, fewer)

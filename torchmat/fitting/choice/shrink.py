@@ -21,7 +21,7 @@ from torchmat.models.storage import STORAGES, MapSpec, StoredAs
 SPECULAR_SIDES = (32, 24, 16, 12, 8)
 _HALVINGS = (2, 4, 8, 16)
 _LEAST_SIDE = 4  # texels; what is as smooth as that is a number or nearly
-_TRIES, _MORE_TRIES = 8, 6  # combinations that are measured, and maps then made smaller one by one
+TRIES, _MORE_TRIES = 8, 6  # combinations that are measured, and maps then made smaller one by one
 _FREE = 0.005  # of the error: what shrinking may cost where nothing asks for it
 _HOPEFUL = 0.5  # of what there is to spare: a map that costs more at half its size is no number
 _CLOSE = 0.02  # of the error: differences below are not looked for
@@ -196,7 +196,7 @@ class _Shrinking:
         start = self._best_alone(fronts, spare)
         best = None if start is None else self._as_far_as_known(start)
         allowed, low, high, tried = spare, 0.0, math.inf, set()
-        for _ in range(_TRIES):
+        for _ in range(TRIES):
             chosen = _combined(fronts, lambda saved, added, most=allowed: -saved if added <= most else math.inf)
             if chosen is None or chosen in tried:
                 break

@@ -46,8 +46,13 @@ def descend(training: Training, begun: Fitted, solver: Stepping, objective: str 
     with one_thread():
         shared = [spec.name for spec in material.own_specs() if spec.constant or not spec.per_texel]
         unknowns = Unbounded(material.own_specs(), material.maps, shared if training.shared is not None else ())
-        found = run_descent(solver, training, unknowns, Seen(training, material), objective, lambda: material.with_maps(**unknowns.made()))
-        material = material.with_maps(**unknowns.made())
+
+
+        def made() -> Material:
+            return begun.material.with_maps(**unknowns.made())
+
+        found = run_descent(solver, training, unknowns, Seen(training, material), objective, made)
+        material = made()
     figures = {**begun.figures, **figures_of(solver, found)}
     return Fitted(material, found.reason, None, figures, history=found.history, shared=begun.shared.moved_to(material))
 

@@ -20,8 +20,8 @@ from torchmat.repeatable import one_thread, product, wide_product
 from torchmat.solvers import Minibatch, Problem
 
 _PAIRS = 8192  # texels x samples of one step
-_FEWEST_TEXELS, _MOST_GROUPS = 512, 128
-_POOL_VALUES, _BLOCK_VALUES = 64_000_000, 2_000_000  # decoded values held at a time (256 MB), and decoded at a time
+FEWEST_TEXELS, _MOST_GROUPS = 512, 128
+POOL_VALUES, _BLOCK_VALUES = 64_000_000, 2_000_000  # decoded values held at a time (256 MB), and decoded at a time
 _PASSES = 2  # over what is held before other samples take its place
 _STEPS = 12000
 _VISITS = 200  # of each group at least
@@ -96,7 +96,7 @@ class _Fit:
         generator = torch.Generator().manual_seed(training.seed)
         texels = btf.height * btf.width
         self.order = torch.randperm(texels, generator=generator)
-        size = min(texels, max(_FEWEST_TEXELS, math.ceil(texels / _MOST_GROUPS)))
+        size = min(texels, max(FEWEST_TEXELS, math.ceil(texels / _MOST_GROUPS)))
         self.groups = [slice(first, min(first + size, texels)) for first in range(0, texels, size)]
         self.batch = solver.batch or max(1, _PAIRS // size)
         steps = max(1, round(effort * max(_STEPS, _VISITS * len(self.groups))))
@@ -155,7 +155,7 @@ class _Fit:
 
     def _draw(self, generator: torch.Generator) -> Tensor:
         """Decode as many samples as memory is meant for; return their places, shuffled, twice for each group."""
-        count = min(len(self.rows), max(1, _POOL_VALUES // (3 * len(self.order))))
+        count = min(len(self.rows), max(1, POOL_VALUES // (3 * len(self.order))))
         if self.pool is None or count < len(self.rows):
             self.pool = self._decode(torch.randperm(len(self.rows), generator=generator)[:count].sort().values)
         return torch.cat([torch.randperm(count, generator=generator) for _ in range(_PASSES * len(self.groups))])

@@ -31,7 +31,7 @@ from torchmat.solvers.stop_reasons import CLOSED_FORM
 _WHERE = "fit shading_map"
 # Slices are written as slope and bends: what no sample determines goes on straight. The slope of the whole stack is
 # this many times cheaper than a bend.
-_SLOPE, _RIDGE = 10.0, 1e-3
+_SLOPE, RIDGE = 10.0, 1e-3
 # What parts the sectors is this many times dearer: less where each has lights of its own (found on a real wallpaper, an
 # RTI set and two path-traced BTFs: 50 costs 1 dB), much more where one has none and must take the others' stack.
 _PARTING, _PARTING_ALONE = 3.0, 50.0
@@ -189,7 +189,7 @@ def _solved(training: Training, r: Tensor, count: int, azimuths: int) -> tuple[T
     light = training.light.double()
     sectors = sector_weights(light, azimuths)[:, :, 0, 0]
     shape = torch.kron(_sectors(azimuths, _parting(light[used], azimuths)), _ramps(count - 1))
-    design = make_design((sectors[:, :, None] * layers[:, None, :]).flatten(1) @ shape, used, _RIDGE, training.importance)
+    design = make_design((sectors[:, :, None] * layers[:, None, :]).flatten(1) @ shape, used, RIDGE, training.importance)
     moments = stream_moments(btf, design, used, training.dtype, training.progress)
     solved = solve_texels(btf, design, moments, used)
     ramps = solved.coefficients
@@ -219,7 +219,7 @@ class _Projection(NamedTuple):
         r = value.mean(dim=-1).clamp(min=0)
         matrix = _weights(r, r.amax(dim=1, keepdim=True).clamp(min=1e-30), self.count) @ _ramps(self.count - 1)
         normal = matrix.transpose(1, 2) @ matrix
-        penalty = _RIDGE * normal.diagonal(dim1=1, dim2=2).mean(dim=1).clamp(min=1e-30)
+        penalty = RIDGE * normal.diagonal(dim1=1, dim2=2).mean(dim=1).clamp(min=1e-30)
         normal = normal + penalty[:, None, None] * torch.eye(self.count - 1, dtype=normal.dtype)
         slices = torch.linalg.solve(normal, matrix.transpose(1, 2) @ self.curves)
         left = (self.curves - matrix @ slices).flatten(1) / self.curves.norm().clamp(min=1e-30)

@@ -25,8 +25,8 @@ from torchmat.geometry.rays import look_up, ray_slope, soft_shadow, texel_centre
 from torchmat.progress import progress
 from torchmat.repeatable import one_thread
 
-_IN_MEMORY = 1_000_000_000  # bytes of resampled images; more go to a temporary file, of which the system maps what is used
-_BLOCK = 4_000_000  # values resampled at a time
+IN_MEMORY = 1_000_000_000  # bytes of resampled images; more go to a temporary file, of which the system maps what is used
+BLOCK = 4_000_000  # values resampled at a time
 _RAYS = 500_000  # walked at a time
 _LIT = 0.5  # samples that get less of the light say more of the ambient than of the texel
 _DARK = 0.2  # and those below say nothing else
@@ -62,7 +62,7 @@ class Surface:
 
 
 def _space(shape: tuple[int, ...], dtype: type) -> np.ndarray:
-    if np.prod(shape) * np.dtype(dtype).itemsize <= _IN_MEMORY:
+    if np.prod(shape) * np.dtype(dtype).itemsize <= IN_MEMORY:
         return np.empty(shape, dtype)
     with tempfile.TemporaryFile(prefix="torchmat-") as file:  # the map keeps it alive
         return np.memmap(file, dtype, "w+", shape=shape)
@@ -127,7 +127,7 @@ def _resample(
     across, up = (float(height.abs().max() * part.abs().max()) for part in slope.unbind(1))
     around = surroundings(btf, window, (up * btf.height, across * btf.width), training.tiles)
     centres, raised = window.crop(texel_centres(btf.height, btf.width, dtype)), window.crop(height)
-    parts = torch.arange(len(rows)).split(max(1, _BLOCK // (3 * math.prod(around.size))))
+    parts = torch.arange(len(rows)).split(max(1, BLOCK // (3 * math.prod(around.size))))
     for part in progress(parts, "onto the surface", show=training.progress):
         which = btf.view_index[rows[part]]
         position = around.place(centres - raised * slope[which])

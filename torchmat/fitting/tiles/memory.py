@@ -10,8 +10,8 @@ from torchmat.fitting.training import Training
 from torchmat.models import Material
 
 USUAL_SIDE = 128
-_LEAST_SIDE, _MOST_SIDE, _STEP = 16, 1024, 16
-_FEWEST_TEXELS = _LEAST_SIDE**2
+LEAST_SIDE, _MOST_SIDE, STEP = 16, 1024, 16
+FEWEST_TEXELS = LEAST_SIDE**2
 _MB = 1e6
 # Roomy: a distribution in tiles of 240 x 240 under 441 samples, allowed 2500 MB, was measured to take 670 MB beside the
 # pages of the mapped images.
@@ -63,7 +63,7 @@ def choose_side(
     if tile_size > side:
         step = f"Use tile_size={side} at most, or 0 to have it chosen."
         raise RangeError(message("fit", "tile_size", f"fit into {memory_mb:g} MB", f"it is {tile_size}", step))
-    return tile_size or max(_LEAST_SIDE, min(_MOST_SIDE, side // _STEP * _STEP))
+    return tile_size or max(LEAST_SIDE, min(_MOST_SIDE, side // STEP * STEP))
 
 
 def require_recovery(memory_mb: float) -> None:
@@ -75,7 +75,7 @@ def require_recovery(memory_mb: float) -> None:
 
 
 def _require(training: Training, model: str, relief: bool, memory_mb: float, left: float) -> None:
-    least = _FEWEST_TEXELS * _texel_bytes(training, model, relief) / _MB
+    least = FEWEST_TEXELS * _texel_bytes(training, model, relief) / _MB
     if left < least:
         needed = math.ceil(memory_mb - left + least)
         fact = f"it is {memory_mb:g}, and {model} on this data takes {needed} MB with the smallest tiles"

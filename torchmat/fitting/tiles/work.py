@@ -16,9 +16,9 @@ import torch
 from torch import Tensor
 
 from torchmat.atomic import building_file, refuse_foreign
-from torchmat.errors import DataError, message
+from torchmat.errors import DataError, RangeError, message
 from torchmat.fitting.geometry import Geometry, Given
-from torchmat.fitting.objective import described
+from torchmat.fitting.objective import describe_objective, described
 from torchmat.fitting.recipe import recipe_of
 from torchmat.fitting.relief.window import Window
 from torchmat.fitting.tiles.plan import TilePart, TilePlan
@@ -74,6 +74,10 @@ def open_work(
     memory_mb: float,
 ) -> Work:
     """Open the folder of a fit, or make it; raises DataError for a folder of another fit, or of anything else."""
+    if callable(options.get("objective")):
+        step = "Leave work out, or give an objective by its name."
+        fact = f"it is {describe_objective(options['objective'])}, which may be another the next time"
+        raise RangeError(message("fit", "objective", "have a name where work is kept", fact, step))
     path = Path(path)
     key = fit_key(training, model, options, geometry, tile_size, memory_mb)
     refuse_foreign(path, lambda name: _NAMES.fullmatch(name.split("/")[0]) is not None, "the work of a fit")

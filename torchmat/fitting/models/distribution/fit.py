@@ -296,7 +296,8 @@ class _Fit:
         surface, texels = self.surface, torch.arange(len(self.surface.training.btf))
 
         def steepness(values: Tensor) -> Tensor:
-            return power(values.clamp(min=0) + self.objective.darkest, DISPLAY_POWER - 1) * (DISPLAY_POWER * self._white**-DISPLAY_POWER)
+            slope = power(values.clamp(min=0) + self.objective.darkest, DISPLAY_POWER - 1)
+            return slope * (DISPLAY_POWER * self._white**-DISPLAY_POWER)
 
         slopes = raw.get("normal", surface.slopes)
         self.height = refine_height(
