@@ -294,7 +294,10 @@ def test_an_unknown_command_ends_with_2(capsys):
 
 
 def test_the_scripts_are_the_commands(data, tmp_path):
-    for name in ("fit", "models", "render", "compare", "info", "geometry", "create"):
+    commands = (
+        "fit", "models", "refit", "blend", "render", "compare", "info", "geometry", "create", "export", "pack",
+    )
+    for name in commands:
         assert (ROOT / "scripts" / f"{name}.py").is_file()
     script = str(ROOT / "scripts" / "info.py")
     done = subprocess.run(

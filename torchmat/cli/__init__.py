@@ -1,4 +1,4 @@
-"""The command line: torchmat fit, fit-many, models, render, compare, info, geometry, create."""
+"""The command line: torchmat fit, fit-many, models, refit, blend, render, compare, info, geometry, create, export, pack."""
 
 from __future__ import annotations
 
@@ -6,20 +6,24 @@ import sys
 
 import tyro
 
+from torchmat.cli.blend import Blend
 from torchmat.cli.compare import Compare
 from torchmat.cli.create import Create
+from torchmat.cli.export import Export
 from torchmat.cli.fit import Fit
 from torchmat.cli.fit_many import FitMany
 from torchmat.cli.geometry import Geometry
 from torchmat.cli.info import Info
 from torchmat.cli.models import Models
+from torchmat.cli.pack import Pack
+from torchmat.cli.refit import Refit
 from torchmat.cli.render import Render
 from torchmat.errors import TorchmatError
 
 _STYLE = (tyro.conf.FlagCreatePairsOff,)
 COMMANDS = {
-    "fit": Fit, "fit-many": FitMany, "models": Models, "render": Render, "compare": Compare, "info": Info,
-    "geometry": Geometry, "create": Create,
+    "fit": Fit, "fit-many": FitMany, "models": Models, "refit": Refit, "blend": Blend, "render": Render, "compare": Compare,
+    "info": Info, "geometry": Geometry, "create": Create, "export": Export, "pack": Pack,
 }
 
 

@@ -1,11 +1,10 @@
-"""How images are read: the arguments that several commands share."""
+"""Arguments that several commands share: how images are read, names in a list, settings, and folders to write."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
-
 
 SAMPLE = "sample"
 
@@ -49,3 +48,49 @@ class DataArguments:
 
         where = sample_path() if path == SAMPLE and not Path(path).exists() else path
         return load_btf(where, **{**(settings or {}), **self.keywords()})
+
+
+def names_of(texts: list[str]) -> list[str]:
+    """Return the names in a list that has commas, spaces, or both between them."""
+    return [name.strip() for text in texts for name in text.split(",") if name.strip()]
+
+
+def options_of(texts: list[str]) -> dict[str, Any]:
+    """Return the options that texts such as ``depth=16`` give; raises RangeError for other texts."""
+    from torchmat.errors import RangeError, message
+    from torchmat.fitting.config import parse_value
+
+    found: dict[str, Any] = {}
+    for text in texts:
+        name, separator, value = text.partition("=")
+        if not separator or not name.strip():
+            fact, step = "it has no name or no '='", "For example --set depth=16."
+            raise RangeError(message("--set", repr(text), "be OPTION=VALUE", fact, step))
+        found[name.strip()] = parse_value(value)
+    return found
+
+
+def provenance_of(material: str) -> dict[str, Any]:
+    """Return what a material folder says of where it comes from; nothing of another path."""
+    from torchmat.material_io.folder import MANIFEST, read_manifest
+
+    found = read_manifest(material).get("provenance") if (Path(material) / MANIFEST).is_file() else None
+    return dict(found) if isinstance(found, dict) else {}
+
+
+def check_apart(command: str, out: Path, *materials: str) -> None:
+    """Raise RangeError when the target of a command is one of the materials that it works on."""
+    from torchmat.errors import RangeError, message
+
+    for material in materials:
+        if out.resolve() == Path(material).resolve():
+            step = "Name another folder: what was painted there would be lost."
+            raise RangeError(message(command, "--out", "be another than the material", f"both are {material}", step))
+
+
+def check_out(command: str, out: Path, *materials: str) -> None:
+    """Raise unless `out` may become a material folder, and is none of the `materials` that the command works on."""
+    from torchmat.material_io import check_target
+
+    check_apart(command, out, *materials)
+    check_target(out)

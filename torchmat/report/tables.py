@@ -87,9 +87,13 @@ def text_table(header: Sequence[str], rows: Sequence[Sequence[Any]]) -> str:
     return "\n".join(lines)
 
 
-def error_rows(report: dict[str, Any]) -> tuple[list[str], list[list[Any]]]:
-    """Return header and rows of the six figures on train, held-out and held-out-after-export samples."""
-    columns = [name for name in ("train", "held_out", "held_out_after_export") if report.get(name)]
+_MEASURED = ("train", "held_out", "held_out_after_export")
+_REFITTED = ("train_before", "train_after", "held_out_before", "held_out_after")
+
+
+def error_rows(report: dict[str, Any], measured: Sequence[str] = _MEASURED) -> tuple[list[str], list[list[Any]]]:
+    """Return header and rows of the six figures on what a report has `measured`: train, held-out samples ..."""
+    columns = [name for name in measured if report.get(name)]
     rows = [[figure, *(report[name][figure] for name in columns)] for figure in FIGURES]
     return ["", *(name.replace("_", " ") for name in columns)], rows
 
@@ -97,6 +101,11 @@ def error_rows(report: dict[str, Any]) -> tuple[list[str], list[list[Any]]]:
 def error_table(report: dict[str, Any]) -> str:
     """Return the six figures on train, held-out and held-out-after-export samples as a table."""
     return text_table(*error_rows(report))
+
+
+def refit_table(report: dict[str, Any]) -> str:
+    """Return the six figures before and after a refit, on train and held-out samples, as a table."""
+    return text_table(*error_rows(report, _REFITTED))
 
 
 def summary_table(report: dict[str, Any]) -> str:

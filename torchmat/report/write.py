@@ -11,7 +11,7 @@ from torchmat.fitting import FitResult, evaluate
 from torchmat.fitting.evaluate import comparable
 from torchmat.frames import half_vector
 from torchmat.material_io import packed, save_material
-from torchmat.models import Distribution
+from torchmat.models import Distribution, Material
 from torchmat.report.decisions_page import decisions_picture, decisions_text
 from torchmat.report.html import fit_page
 from torchmat.report.maps import hemisphere_picture, maps_picture
@@ -46,6 +46,26 @@ def write_fit(btf: Btf, result: FitResult, folder: str | Path, pictures: bool = 
             (building / "report.html").write_text(fit_page(report, written), encoding="utf-8")
 
     return save_material(result.material, folder, _provenance(result.report), companions)
+
+
+def write_edited(
+    material: Material, folder: str | Path, provenance: dict[str, Any], report: dict[str, Any] | None = None,
+    pictures: bool = True,
+) -> Path:
+    """Write a material that was made of others: with `report.json` if there is a report, and pictures of its maps.
+
+    Everything appears together in one step; see `save_material` for what may be replaced.
+    """
+
+    def companions(building: Path) -> None:
+        if report is not None:
+            (building / "report.json").write_text(to_json(report), encoding="utf-8")
+        if pictures:
+            (building / "pictures").mkdir()
+            maps_picture(material, building / "pictures" / "maps.png")
+            hemisphere_picture(material, building / "pictures" / "hemisphere.png")
+
+    return save_material(material, folder, provenance, companions)
 
 
 def _with_packing(btf: Btf, result: FitResult) -> dict[str, Any]:

@@ -1,0 +1,45 @@
+"""torchmat export."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from torchmat.cli.arguments import check_apart, options_of, provenance_of
+
+
+@dataclass
+class Export:
+    """Write a material in another form, and say which of its parts come back exactly, nearly, or not at all."""
+
+    material: Annotated[str, tyro.conf.Positional]
+    """Material folder, or shading map (.3pm)."""
+    to: str | None = None
+    """folder (torchmat's own, with --set storage=png8), 3pm (a shading map's slices), packed (few textures for a shader),
+    or another exporter's name (default: as the suffix of --out says)."""
+    out: Path | None = None
+    """File or folder to write (default: called as the material, in the current folder). An earlier export there is
+    replaced. The losses are written into the folder (loss.json) or beside the file (NAME.loss.json)."""
+    set: Annotated[list[str], tyro.conf.UseAppendAction] = field(default_factory=list)
+    """Option of the exporter, for example --set depth=16; may be repeated."""
+
+    def run(self) -> None:
+        from torchmat import export, load_material
+        from torchmat.material_io.exporter import chosen_exporter, loss_file
+
+        exporter = chosen_exporter(self.out or "", self.to)
+        out = self.out or Path(Path(self.material).resolve().stem + (exporter.suffix or f"_{exporter.name}"))
+        check_apart("export", out, self.material)
+        losses = export(
+            load_material(self.material), out, exporter.name, provenance=self._provenance(), **options_of(self.set)
+        )
+        print(losses)
+        print()
+        print(f"{exporter.name:10s} {out}")
+        print(f"losses     {loss_file(out, exporter)}")
+
+    def _provenance(self) -> dict:
+        return {**provenance_of(self.material), "exported_from": Path(self.material).resolve().name}

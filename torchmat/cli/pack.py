@@ -1,0 +1,26 @@
+"""torchmat pack."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from torchmat.cli.export import Export
+
+
+@dataclass
+class Pack:
+    """Join the maps of a distribution material into few textures for a shader: the same as `export --to packed`."""
+
+    material: Annotated[str, tyro.conf.Positional]
+    """Material folder of a distribution material."""
+    out: Path = Path("packed")
+    """Folder to write; packed textures that are there are replaced."""
+    depth: int = 8
+    """8 or 16 bits a channel; specular maps are half floats and the tilt has 16 bits in both."""
+
+    def run(self) -> None:
+        Export(self.material, to="packed", out=self.out, set=[f"depth={self.depth}"]).run()
