@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from torchmat.fitting.choice.candidate import Option, fit_rung
-from torchmat.fitting.choice.ladder import named, rung_of_parts
+from torchmat.fitting.choice.ladder import ladder_of, named, rung_of_parts
 from torchmat.fitting.choice.shrink import total_bytes
 from torchmat.fitting.recipe import Part, Recipe, Rung
 from torchmat.fitting.relief.surface import Surface, bring_onto
@@ -45,6 +45,7 @@ class PartsClimb:
 
     def __init__(self, climb: Climb, recipe: Recipe, height: Tensor | None) -> None:
         self.climb, self.recipe, self.height = climb, recipe, height
+        self.ladder = ladder_of(recipe)
         self.surface = _surface(replace(climb.part, progress=False), height)
         self.kept: list[_Tried] = []
         self.best = self.pilot((), None, "")
@@ -66,8 +67,8 @@ class PartsClimb:
 
     def rung(self, parts: tuple[Part, ...], **more: float) -> Rung:
         """Return the material with these parts, which are named in the order of the ladder."""
-        options = {**self.recipe.ladder.bare, **more}
-        parts = tuple(part for part in self.recipe.ladder.parts if part in parts)
+        options = {**self.ladder.bare, **more}
+        parts = tuple(part for part in self.ladder.parts if part in parts)
         for part in parts:
             options |= part.options
         return rung_of_parts(self.recipe, options, tuple(part.name for part in parts))
@@ -76,18 +77,24 @@ class PartsClimb:
         """Fit for a short time; note what that brings against `before`, which has a part less or, `fewer`, one more."""
         start, rung = self.climb.watch.seconds, self.rung(parts, effort=_EFFORT)
         with working(f"trying {named(rung, self.height)}", self.climb.training.progress):
-            fitted = self.recipe.on_relief(self.surface, self.height, **rung.settings)
+            fitted = self._fitted(rung)
         return self.climb.tried_shortly(rung, fitted, self.height, start, before, by, fewer)
 
     def whole(self, rung: Rung) -> Fitted:
         """Return the whole fit of a rung, on a relief with the height moving."""
         if self.height is not None:
             return fit_rung(self.climb.part, rung, self.height)
-        return self.recipe.on_relief(self.surface, None, **rung.settings)
+        return self._fitted(rung)
+
+    def _fitted(self, rung: Rung) -> Fitted:
+        assert self.recipe.on_relief is not None
+        found = self.recipe.on_relief(self.surface, self.height, **rung.settings)
+        assert found is not None  # what is built part by part takes no other way
+        return found
 
     def _too_large(self, part: Part) -> bool:
         material = self.best.fitted.material
-        more = part.bytes + max(0, part.lobes - self._lobes) * self.recipe.ladder.bytes_of_lobe(material)
+        more = part.bytes + max(0, part.lobes - self._lobes) * self.ladder.bytes_of_lobe(material)
         return self.climb.too_large(named(self.rung((*self._parts, part)), self.height), total_bytes(material) + more)
 
     def _try(self, part: Part) -> float:
@@ -102,7 +109,7 @@ class PartsClimb:
     def _forward(self) -> list[_Tried]:
         """Try each part in order, and return what was left."""
         left: list[_Tried] = []
-        for part in self.recipe.ladder.parts:
+        for part in self.ladder.parts:
             if self.climb.watch.spent:
                 break
             after = len(self.kept)
