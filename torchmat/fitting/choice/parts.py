@@ -15,7 +15,7 @@ from torch import Tensor
 from torchmat.fitting.choice.candidate import Option, fit_rung
 from torchmat.fitting.choice.ladder import ladder_of, named, rung_of_parts
 from torchmat.fitting.choice.shrink import total_bytes
-from torchmat.fitting.recipe import Part, Recipe, Rung
+from torchmat.fitting.recipe import Ladder, Part, Recipe, Rung
 from torchmat.fitting.relief.surface import Surface, bring_onto
 from torchmat.fitting.relief.window import Window
 from torchmat.fitting.training import Fitted, Training
@@ -45,7 +45,6 @@ class PartsClimb:
 
     def __init__(self, climb: Climb, recipe: Recipe, height: Tensor | None) -> None:
         self.climb, self.recipe, self.height = climb, recipe, height
-        self.ladder = ladder_of(recipe)
         self.surface = _surface(replace(climb.part, progress=False), height)
         self.kept: list[_Tried] = []
         self.best = self.pilot((), None, "")
@@ -56,6 +55,11 @@ class PartsClimb:
         self._again(left)
         self._back()
         return self.rung(self._parts)
+
+    @property
+    def ladder(self) -> Ladder:
+        """The ladder that is climbed."""
+        return ladder_of(self.recipe)
 
     @property
     def _parts(self) -> tuple[Part, ...]:
