@@ -191,7 +191,7 @@ def as_use(scene: SceneUse | Usable | Sequence[SceneUse | Usable]) -> SceneUse:
         return scene
     if isinstance(scene, list | tuple) and scene:
         return joined([as_use(one) for one in scene])
-    if not hasattr(scene, "use"):
+    if isinstance(scene, Sequence) or not hasattr(scene, "use"):
         step = "Give torchmat.Scene(mesh, lights, ...), its use(), or a list of them."
         raise RangeError(message("fit", "scene", "be a Scene", f"it is {type(scene).__name__}", step))
     return scene.use()

@@ -13,6 +13,7 @@ from torchmat.btf.listing import Listing
 from torchmat.btf.source import File, Folder, Zip
 from torchmat.errors import DataError, RangeError, TorchmatError, check_option, message
 
+_MISSING: Any = None  # of what must be given, which is checked with an error that says so
 DTYPES = ("uint8", "uint16", "float16", "float32", "float64")
 
 
@@ -59,8 +60,7 @@ class Reader:
         name: what `load_btf` takes as `kind`.
         description: one line on what it reads.
         sniff: ``sniff(source)`` tells, without decoding anything, whether a source is of this kind: a Folder or a Zip, or
-            with
-            `one_file` a File, whose ``path`` is a file that holds everything.
+            with `one_file` a File, whose ``path`` is a file that holds everything.
         listing: ``listing(source)`` gives the samples with their directions.
         pixels: ``pixels(source, listing)`` gives their images, in that order.
         one_file: whether a source is a file of its own kind instead of a folder or a zip.
@@ -72,9 +72,9 @@ class Reader:
 
     name: str
     description: str
-    sniff: Callable[[Any], bool] | None = None
-    listing: Callable[[Any], Listing] | None = None
-    pixels: Callable[[Any, Listing], Pixels] | None = None
+    sniff: Callable[[Any], bool] = _MISSING
+    listing: Callable[[Any], Listing] = _MISSING
+    pixels: Callable[[Any, Listing], Pixels] = _MISSING
     one_file: bool = False
     version: int = 1
 

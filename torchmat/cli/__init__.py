@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable
+from typing import Any
 
 import tyro
 
@@ -21,7 +23,7 @@ from torchmat.cli.render import Render
 from torchmat.errors import TorchmatError
 
 _STYLE = (tyro.conf.FlagCreatePairsOff,)
-COMMANDS = {
+COMMANDS: dict[str, Callable[..., Any]] = {
     "fit": Fit, "fit-many": FitMany, "models": Models, "refit": Refit, "blend": Blend, "render": Render, "compare": Compare,
     "info": Info, "geometry": Geometry, "create": Create, "export": Export, "pack": Pack,
 }

@@ -42,11 +42,12 @@ class Compare:
         from torchmat.report.comparison import default_models, check_target, compare, write_comparison
         from torchmat.report.tables import comparison_table
 
-        if self.out is not None:
-            check_target(self.out)
+        out = self.out
+        if out is not None:
+            check_target(out)
         btf = self.read.load(self.data)
         title = f"Models on {Path(self.data).name}"
-        keep = None if self.out is None else lambda rows: write_comparison(rows, self.out, title, plots=False)
+        keep = None if out is None else lambda rows: write_comparison(rows, out, title, plots=False)
         rows = compare(
             btf, self.models or default_models(), budget=self.budget, repeats=self.repeats, geometry=self.geometry,
             curves=self.curves, holdout=self.holdout, holdout_by=self.holdout_by, seed=self.seed, each=keep,
@@ -57,5 +58,5 @@ class Compare:
                 print(f"{row['model']}: {row['failed']}")
             if row["same_bits"] is False:
                 print(f"{row['model']}: repeats differ, relative errors {row['relative_errors']}")
-        if self.out is not None:
-            print(f"comparison {write_comparison(rows, self.out, title)}")
+        if out is not None:
+            print(f"comparison {write_comparison(rows, out, title)}")

@@ -104,6 +104,7 @@ class Create:
         from torchmat.btf.photographs import read_photographs
         from torchmat.create.from_sphere import sphere_images_from_photographs
 
+        assert self.circle is not None
         photographs = read_photographs(self.path, self.encoding)
         return sphere_images_from_photographs(
             photographs, self.angles_deg, self.circle[:2], self.circle[2], size=self.picture_size,

@@ -85,6 +85,7 @@ class Geometry:
 
         if self.lights is not None:
             return read_lights(self.lights, count)
+        assert self.ball is not None
         balls = read_photographs(self.ball)
         if self.circle is None or len(balls) != count:
             fact = "--circle is missing" if self.circle is None else f"there are {len(balls)} for {count} photographs"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import tyro
 
@@ -89,6 +89,7 @@ class Render:
         if self.mesh or self.light or self.point or self.environment or self.turntable or self.sweep:
             fact, step = "others are given beside it", "Write them into the scene file, or leave --scene out."
             raise RangeError(message("render", "--scene", "bring object and lights", fact, step))
+        assert self.scene is not None
         target = folder / f"render_{self.scene.stem}.png"
         return write_picture(render(shader, scene), target, self.exposure, self.exr)
 
@@ -131,15 +132,16 @@ class Render:
         from torchmat.rendering import Camera, render
         from torchmat.rendering.as_mesh import as_mesh
         from torchmat.rendering.files import write_picture
+        from torchmat.rendering.mesh import Mesh
         from torchmat.rendering.render import PATCH
 
         usual = _SPHERE_REPEAT if mesh == "sphere" else 1.0
         repeat = usual if self.repeat is None else self.repeat
         if self.turntable or self.sweep:
             return self._animate(shader, as_mesh(mesh), lights, repeat, stem)
-        body = mesh if mesh == PATCH else as_mesh(mesh)
+        body: str | Mesh = mesh if mesh == PATCH else as_mesh(mesh)
         camera = None
-        if self.field_of_view_deg is not None and mesh != PATCH:
+        if self.field_of_view_deg is not None and not isinstance(body, str):
             camera = Camera.framing(body.centre, body.radius, self.view, math.radians(self.field_of_view_deg))
         picture = render(
             shader, body, lights, self.view, self.size, repeat, camera=camera, shadows=self.shadows, rays=self.rays
@@ -152,7 +154,7 @@ class Render:
         from torchmat.rendering.sequences import light_sweep, turntable
 
         angle = None if self.field_of_view_deg is None else math.radians(self.field_of_view_deg)
-        common = {
+        common: dict[str, Any] = {
             "size": self.size, "repeat": repeat, "field_of_view": angle, "shadows": self.shadows, "rays": self.rays,
         }
         sequences = {}
@@ -162,9 +164,9 @@ class Render:
             sequences["sweep"] = light_sweep(shader, body, self.sweep, view=self.view, **common)
         written = []
         for name, pictures in sequences.items():
-            pictures = list(pictures)
+            frames = list(pictures)
             target = stem.with_name(f"{stem.name}_{name}{'.gif' if self.gif else '.apng'}")
             sheet = stem.with_name(f"{stem.name}_{name}.png")
-            written += write_picture(contact_sheet(pictures), sheet, self.exposure, self.exr)
-            written.append(write_animation(pictures, target, exposure=self.exposure))
+            written += write_picture(contact_sheet(frames), sheet, self.exposure, self.exr)
+            written.append(write_animation(frames, target, exposure=self.exposure))
         return written

@@ -85,7 +85,7 @@ class FitConfig:
 
 
 def _typed(where: str, table: dict[str, Any]) -> dict[str, Any]:
-    kinds = {
+    kinds: dict[str, Any] = {
         "model": str, "options": dict, "holdout": (int, float), "holdout_by": str, "seed": int, "geometry": str,
         "tiles": bool, "target": dict, "tile_size": int, "memory_mb": (int, float), "data": dict,
     }

@@ -21,14 +21,14 @@ def averaged(btf: Btf, rows: Tensor, size: Sequence[int], dtype: torch.dtype) ->
 
     Texels without weight are left out of the means; one clipped value makes its mean count as clipped.
     """
-    size = tuple(size)
+    shape = (size[0], size[1])
     images, flags = [], []
     for part in rows.split(max(1, _BLOCK_VALUES // (3 * btf.height * btf.width))):
         valid = btf.valid(part).to(dtype)
-        there = functional.adaptive_avg_pool2d(valid, size)
-        mean = functional.adaptive_avg_pool2d(btf.images(part, dtype) * valid, size)
+        there = functional.adaptive_avg_pool2d(valid, shape)
+        mean = functional.adaptive_avg_pool2d(btf.images(part, dtype) * valid, shape)
         images.append(mean / there.clamp(min=1e-12))
-        clipped = functional.adaptive_avg_pool2d(btf.clipped(part).to(dtype), size) > 0
+        clipped = functional.adaptive_avg_pool2d(btf.clipped(part).to(dtype), shape) > 0
         flags.append(torch.where(there < _KNOWN, INVALID, torch.where(clipped, CLIPPED, VALID))[:, 0].to(torch.uint8))
     pixels = torch.cat(images).numpy()
     store = summarise(pixels, torch.cat(flags).numpy())

@@ -69,6 +69,7 @@ def onward_of(btf: Btf, material: Material, options: Mapping[str, Any], where: s
         fact = f"it is {material.size[0]} x {material.size[1]}"
         step = "Bring it to that with torchmat.models.edit.resized, or load the BTF in its size."
         raise ShapeError(message(where, "material", f"be {btf.height} x {btf.width} as the images", fact, step))
+    assert isinstance(solver, Stepping)  # as all of DESCENTS are
     return Onward(solver, objective, tuple(keep))
 
 
@@ -162,7 +163,10 @@ class Descending:
 
     def run(self, solver: Stepping, rounds: Sequence[float]) -> Fitted:
         """Descend in rounds that take their share of the solver's steps, moving a height that is free between them."""
-        history, figures, reason, filled = [], {}, STEP_LIMIT, solver.filled()
+        history: list[tuple[float, float]] = []
+        figures: dict[str, Any] = {}
+        reason, filled = STEP_LIMIT, solver.filled()
+        assert filled.steps is not None
         for number, share in enumerate(rounds):
             if self.moves_height and (number > 0 or not self.unknowns.names):
                 self.move_height()
@@ -179,6 +183,7 @@ class Descending:
     def move_height(self) -> None:
         """Bring the height to where the present appearance wants it, and the samples onto it."""
         surface, maps = self.surface, self.unknowns.made()
+        assert surface is not None
         level = mean_value(surface.training)
         # The size of a residual by which outlying samples are told is that of values as a display shows them.
         white, darkest = (1.0 if 0.01 < level < 10 else 10 * level), Objective(LINEAR, level).darkest

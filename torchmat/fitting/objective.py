@@ -70,6 +70,7 @@ class Objective:
             return weight * (predicted - target).square()
         if self.asked == DISPLAY:
             return weight * (shown(predicted, self.darkest) - shown(target, self.darkest)).square()
+        assert not isinstance(self.asked, str)
         found = self.asked(predicted, target, weight)
         if not isinstance(found, Tensor) or not found.is_floating_point():
             fact = f"it returns {found.dtype if isinstance(found, Tensor) else type(found).__name__}"

@@ -69,8 +69,8 @@ class Ladder:
     bare: Mapping[str, Any]
     parts: tuple[Part, ...]
     bytes: float
-    bytes_of_lobe: Callable[[Material], float]
-    without_idle_parts: Callable[[Material], Material]
+    bytes_of_lobe: Callable[[Any], float]
+    without_idle_parts: Callable[[Any], Material]
 
 
 @dataclass(frozen=True)
@@ -164,7 +164,9 @@ class Recipe:
     @property
     def way(self) -> Callable[..., Any]:
         """The function whose keywords are the model's options: `fit` or `start`."""
-        return self.fit or self.start
+        way = self.fit or self.start
+        assert way is not None  # one of them is given
+        return way
 
     @property
     def all_solvers(self) -> tuple[str, ...]:
@@ -218,15 +220,18 @@ class Recipe:
         """Fit the model to a flat surface by one of its solvers."""
         solver, objective = self.solver_of(options), options.pop("objective", self.objective)
         options.pop("solver", None)
-        if self.fit is None:
+        if self.start is not None:
+            assert isinstance(solver, Stepping)
             own = {name: value for name, value in options.items() if name not in ("steps", "rate")}
             material = self.start(training, **own)
             tables = [spec.name for spec in material.own_specs() if spec.constant or not spec.per_texel]
-            known = {name: training.table(name) for name in tables if training.table(name) is not None}
+            known = {name: table for name in tables if (table := training.table(name)) is not None}
             material = material.with_maps(**known) if known else material
             begun = Fitted(material, shared=Shared({name: material.maps[name].detach() for name in tables}))
             return descend(training, begun, solver, objective)
+        assert self.fit is not None
         if solver.name not in self.solvers:
+            assert isinstance(solver, Stepping)
             return fit_by_descent(training, self.fit, solver, options, objective)
         return self.fit(training, **options, **_taken(self.fit, solver=solver, objective=objective))
 

@@ -24,13 +24,13 @@ for _recipe in (
     register(_recipe)
 
 
-def default_options(model: str) -> dict[str, object]:
+def default_options(model: str) -> dict[str, Any]:
     """Return the options of a model and their defaults: the keyword arguments of its fit function."""
     check_option("fit", "model", model, (*RECIPES, AUTO))
     return {} if model == AUTO else recipe_of(model).options
 
 
-def resolve_options(model: str, given: dict[str, object]) -> dict[str, object]:
+def resolve_options(model: str, given: dict[str, Any]) -> dict[str, Any]:
     """Return all options of `model` with those `given`, the solver as an object.
 
     Raises RangeError, with the nearest name, for unknown ones.

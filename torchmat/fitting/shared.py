@@ -41,4 +41,4 @@ class Shared:
         """Return what `pieces` took apart."""
         tables = {name.removeprefix("tables."): one for name, one in tensors.items() if name.startswith("tables.")}
         own: dict[str, Any] = {name: one for name, one in tensors.items() if not name.startswith("tables.")}
-        return cls(tables=tables, **own, **numbers)
+        return cls(tables=tables, **own | dict(numbers))

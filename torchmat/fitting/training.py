@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, TypeVar
 
 import torch
 from torch import Tensor
@@ -16,6 +16,8 @@ from torchmat.geometry import Relief
 from torchmat.models import Material
 from torchmat.solvers.clock import Watch
 from torchmat.solvers.stop_reasons import CLOSED_FORM
+
+_Kind = TypeVar("_Kind", bound=Shared)
 
 
 @dataclass(frozen=True)
@@ -40,6 +42,10 @@ class Training:
     def table(self, name: str) -> Tensor | None:
         """Return a map that all texels share where it is known already."""
         return None if self.shared is None else self.shared.tables.get(name)
+
+    def shared_as(self, kind: type[_Kind]) -> _Kind | None:
+        """Return what all texels have in common, of the class that the model's recipe names, where it is known already."""
+        return self.shared if isinstance(self.shared, kind) else None
 
     def counted(self, weight: Tensor, samples: range | Tensor) -> Tensor:
         """Return weights [k, ...] of samples, a run or their numbers, times what each sample counts."""

@@ -11,13 +11,14 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from torch import Tensor
+from torch import Tensor, nn
 
 from torchmat import atomic, safe
 from torchmat.errors import RangeError, TorchmatError, check_option, message
 from torchmat.models import Material
 from torchmat.models.resample import VECTORS
 
+_MISSING: Any = None  # of what must be given, which is checked with an error that says so
 LOSS = "loss.json"
 LOSS_FORMAT = "torchmat-loss"
 
@@ -37,12 +38,16 @@ class Losses:
     lost: Mapping[str, str] = field(default_factory=dict)
 
     @classmethod
-    def of_maps(cls, material: Material, found: Mapping[str, Tensor], lost: Mapping[str, str] | None = None) -> Losses:
+    def of_maps(
+        cls, material: Material, found: Mapping[str, Tensor] | nn.ParameterDict, lost: Mapping[str, str] | None = None
+    ) -> Losses:
         """Return what became of each map, measured: `found` are the maps as a reader of the export would have them.
 
         A map that is neither there nor in `lost` is lost.
         """
-        exact, approximated, lost = [], {}, dict(lost or {})
+        exact: list[str] = []
+        approximated: dict[str, str] = {}
+        lost = dict(lost or {})
         for spec in material.specs():
             if spec.name in lost:
                 continue
@@ -93,15 +98,14 @@ class Exporter:
             `material.numbers()` give all that a material holds, `material.maps` the maps in full size.
         suffix: of the file that it writes, such as ".glb"; None writes a folder.
         known: ``known(folder)`` returns which files there are an earlier export's, and may be replaced: by default those
-            that
-            its ``loss.json`` lists.
+            that its ``loss.json`` lists.
 
     Raises RangeError when a part is missing or is not what it must be.
     """
 
     name: str
     description: str
-    write: Callable[..., Losses] | None = None
+    write: Callable[..., Losses] = _MISSING
     suffix: str | None = None
     known: Callable[[Path], Callable[[str], bool]] = listed_files
 

@@ -107,7 +107,7 @@ def packed(material: Material, depth: int = 8) -> Distribution:
     return _unpacked(_textures(material, depth), material)
 
 
-def _unpacked(textures: list[Packed], material: Distribution) -> Distribution:
+def _unpacked(textures: list[Packed], material: Material) -> Distribution:
     planes = _by_map((decode(texture.codes), texture.contents) for texture in textures)
     return _assembled(planes, _settings(material))
 

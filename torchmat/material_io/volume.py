@@ -144,7 +144,7 @@ def write_volume(material: Material, path: Path) -> Losses:
     return _losses(material, _with_lambert(codes.float() / _LEVELS, count))
 
 
-def _losses(material: ShadingMap, read: ShadingMap) -> Losses:
+def _losses(material: Material, read: ShadingMap) -> Losses:
     """Return what differs in the shading map that `read_volume` makes of the file."""
     lost = {
         name: f"it is {value!r}, and the file is read as {read.options[name]!r}"

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from torchmat import safe
 from torchmat.geometry import normals_from_slopes, slopes_from_normals
@@ -81,7 +81,9 @@ class Unbounded:
     `rates` are how fast each parameter may go, relative to the others.
     """
 
-    def __init__(self, specs: Iterable[MapSpec], maps: Mapping[str, Tensor], fixed: Iterable[str] = ()) -> None:
+    def __init__(
+        self, specs: Iterable[MapSpec], maps: Mapping[str, Tensor] | nn.ParameterDict, fixed: Iterable[str] = ()
+    ) -> None:
         fixed = set(fixed)
         self.specs = {spec.name: spec for spec in specs if is_free(spec) and spec.name not in fixed}
         values = {name: maps[name].detach() for name in self.specs}

@@ -84,7 +84,7 @@ class Camera:
 
     @classmethod
     def framing(
-        cls, centre: Sequence[float], radius: float, direction: Sequence[float] = (0.0, 0.0, 1.0),
+        cls, centre: Sequence[float] | Tensor, radius: float, direction: Sequence[float] | Tensor = (0.0, 0.0, 1.0),
         field_of_view: float | None = None, up: Sequence[float] = _UP,
     ) -> Camera:
         """Return a camera in `direction` from a sphere that just fills its picture; orthographic without a field of view."""

@@ -9,7 +9,7 @@ import struct
 import warnings
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -84,8 +84,8 @@ def _kind(path: Path) -> str:
     return kind
 
 
-def _load(path: Path) -> list[tuple[trimesh.parent.Geometry, np.ndarray]]:
-    """Return what the nodes of a file's scene show, each with its transform [4, 4]; two nodes may show the same."""
+def _load(path: Path) -> list[tuple[Any, np.ndarray]]:
+    """Return what the nodes of a file's scene show, as trimesh has it, each with its transform [4, 4]; two may show the same."""
     import trimesh
     from trimesh.resolvers import FilePathResolver
 
@@ -99,10 +99,11 @@ def _load(path: Path) -> list[tuple[trimesh.parent.Geometry, np.ndarray]]:
             warnings.simplefilter("ignore", RuntimeWarning)  # of NaN and Inf, which are looked for afterwards
             # NumPy only warns about a number it cannot read, and goes on with what came before.
             warnings.filterwarnings("error", message=".*could not be read to its end.*")
+            # The pictures of the file's own materials are no use here; glTF has no UVs without them.
+            settings: dict[str, Any] = {"skip_materials": True} if kind == "obj" else {}
             scene = trimesh.load_scene(
                 io.BytesIO(data), file_type=kind, resolver=FilePathResolver(str(path)), process=False,
-                # the pictures of the file's own materials are no use here; glTF has no UVs without them
-                **({"skip_materials": True} if kind == "obj" else {}),
+                **settings,
             )
             shown = [scene.graph[node] for node in scene.graph.nodes_geometry]
         check_after(data, kind, sum(len(getattr(part, "faces", ())) for part in scene.geometry.values()), str(path))

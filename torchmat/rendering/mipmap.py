@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import Any, Protocol
 
 import torch
 from torch import Tensor
@@ -14,13 +14,15 @@ from torchmat.models.edit import resampled, resized
 class Shader(Protocol):
     """What can be rendered: a Material, a Brdf, or measured images."""
 
-    dtype: torch.dtype
+    @property
+    def dtype(self) -> torch.dtype:
+        """The precision of its values and of the directions that it takes."""
 
     def shade_at(self, uv: Tensor, light: Tensor, view: Tensor) -> Tensor:
         """Return the value [..., 3, h, w] at texture coordinates `uv` [2, h, w], as `Material.shade_at` does."""
 
 
-def _halved(shader: Shader, gradient: bool) -> Shader:
+def _halved(shader: Any, gradient: bool) -> Shader:
     if isinstance(shader, Material):
         height, width = shader.size
         return (resampled if gradient else resized)(shader, (max(1, (height + 1) // 2), max(1, (width + 1) // 2)))
@@ -72,7 +74,7 @@ class Pyramid:
             return [(self.levels[0], slice(None), None)]
         lower = level.floor()
         share = level - lower
-        found = []
+        found: list[tuple[Shader, Tensor | slice, Tensor | None]] = []
         for step in range(int(lower.max()) + 2):
             weight = torch.where(lower == step, 1 - share, torch.where(lower == step - 1, share, 0))
             which = (weight > 0).nonzero()[:, 0]

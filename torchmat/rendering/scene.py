@@ -73,17 +73,22 @@ class Scene:
             ("camera", self.camera or Camera.framing(mesh.centre, mesh.radius, self.view)),
         ):
             object.__setattr__(self, name, value)
-        check_lights(mesh, self.lights)
+        check_lights(mesh, self._lights)
+
+    @property
+    def _lights(self) -> list[Light]:
+        return [as_light(light) for light in self.lights]
 
     def visible(self, dtype: torch.dtype = torch.float32) -> Visible:
         """Return what the camera sees, in the precision of the material that is to be shaded."""
         if dtype not in self._seen:
-            self._seen[dtype] = see(self.mesh, self.camera, self.size, self.rays, self.edges_only, self.repeat, dtype)
+            assert self.camera is not None
+            self._seen[dtype] = see(as_mesh(self.mesh), self.camera, self.size, self.rays, self.edges_only, self.repeat, dtype)
         return self._seen[dtype]
 
     def picture(self, material: Shader, gradient: bool = False) -> Tensor:
         """Return the linear picture [3, rows, columns] of a material in this scene; with `gradient`, one in its maps."""
-        return shade_visible(material, self.visible(material.dtype), self.lights, self.shadows, gradient)
+        return shade_visible(material, self.visible(material.dtype), self._lights, self.shadows, gradient)
 
     def use(self) -> SceneUse:
         """Return what the scene uses of a material: the points that are seen and lit, and how much they count.
@@ -99,15 +104,15 @@ class Scene:
             fact = "it sees none" if not len(visible.pixel) else "it sees the back of its surface alone"
             step = "Move the camera, or leave it out: then it frames the object."
             raise RangeError(message("Scene", "the camera", "see the object", fact, step))
-        step = max(1, -(-len(visible.pixel) * len(self.lights) // MOST_PAIRS))
+        spacing = max(1, -(-len(visible.pixel) * len(self.lights) // MOST_PAIRS))
         lit = torch.zeros(len(visible.pixel), dtype=torch.bool)
         parts = []
-        for number, light in enumerate(self.lights):
-            local, intensity, reached = reach(visible, light, self.shadows)
+        for number, lamp in enumerate(self._lights):
+            local, intensity, reached = reach(visible, lamp, self.shadows)
             strength = colour.luminance(intensity, dim=0)[0].expand(len(visible.pixel))
             lit |= reached & (strength > 0)
-            chosen = (reached & (strength > 0)).nonzero()[number % step :: step, 0]
-            weight = visible.weight[chosen] * strength[chosen] * step
+            chosen = (reached & (strength > 0)).nonzero()[number % spacing :: spacing, 0]
+            weight = visible.weight[chosen] * strength[chosen] * spacing
             parts.append((chosen, local[:, 0, chosen], visible.view[:, 0, chosen], weight))
         kept = lit.nonzero()[:, 0]
         if not len(kept):

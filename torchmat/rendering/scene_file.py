@@ -45,7 +45,7 @@ def _scene(path: Path, table: dict[str, Any]) -> Scene:
         step = 'For example mesh = "teapot".'
         fact = f"it is {table.get('mesh')!r}"
         raise RangeError(message("scene", "mesh", "be the name of a shape or a file", fact, step))
-    found = {key: table[key] for key in ("view", "repeat", "shadows", "rays", "edges_only") if key in table}
+    found: dict[str, Any] = {key: table[key] for key in ("view", "repeat", "shadows", "rays", "edges_only") if key in table}
     if "size" in table:
         found["size"] = tuple(table["size"]) if isinstance(table["size"], list) else table["size"]
     if "lights" in table:
@@ -67,7 +67,7 @@ def _light(entry: dict[str, Any]) -> Light:
 
 def _camera(entry: dict[str, Any]) -> Camera:
     check_known_keys("scene [camera]", entry, _CAMERA_KEYS)
-    found = {key: entry[key] for key in ("target", "up", "width") if key in entry}
+    found: dict[str, Any] = {key: entry[key] for key in ("target", "up", "width") if key in entry}
     if "field_of_view_deg" in entry:
         found["field_of_view"] = math.radians(entry["field_of_view_deg"])
     return Camera(entry["position"], **found)

@@ -39,7 +39,7 @@ def _colours(rows: list[dict[str, Any]]) -> dict[str, Any]:
 
 def _drawn(row: dict[str, Any], column: str) -> tuple[float, float]:
     # A perfect fit stands at the foot of the logarithmic axis; black data has no relative error.
-    return max(row[column], _LEAST_COST), max(judged(row), _LEAST)
+    return max(row[column], _LEAST_COST), max(judged(row) or 0.0, _LEAST)
 
 
 def _plot(rows: list[dict[str, Any]], column: str, label: str, colours: dict[str, Any], path: Path) -> Path:

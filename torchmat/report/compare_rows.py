@@ -166,11 +166,12 @@ def judged(row: dict[str, Any]) -> float | None:
 def front(rows: list[dict[str, Any]], cost: str) -> list[int]:
     """Return the rows, from cheap to dear, that no other row beats in `cost` and error alike; of equals the first."""
     sign = -1 if cost == "shade_mtexels_per_s" else 1
-    known = [n for n, row in enumerate(rows) if judged(row) is not None and row[cost] is not None]
+    judgements = ((number, judged(row), row[cost]) for number, row in enumerate(rows))
+    known = [(sign * much, error, number) for number, error, much in judgements if error is not None and much is not None]
     found, best = [], float("inf")
-    for number in sorted(known, key=lambda n: (sign * rows[n][cost], judged(rows[n]))):
-        if judged(rows[number]) < best:
-            best = judged(rows[number])
+    for _, error, number in sorted(known):
+        if error < best:
+            best = error
             found.append(number)
     return found
 

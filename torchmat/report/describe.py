@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import os
 from pathlib import Path
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -44,7 +45,7 @@ def describe_btf(btf: Btf) -> str:
     low, high = btf.value_range
     grid = len(btf.lights) * len(btf.views)
     source = btf.source
-    rows = [
+    rows: list[list[Any]] = [
         ["source", source.path],
         ["kind", source.kind],
         ["samples (images)", len(btf)],

@@ -104,7 +104,8 @@ class Adam(Stepping):
     usual = {"steps": 500, "rate": 0.03}
 
     def descend(self, problem: Problem) -> Descent:
-        tolerance = {} if self.tolerance is None else {"tolerance": self.tolerance}
+        assert self.steps is not None and self.rate is not None
+        tolerance: dict[str, Any] = {} if self.tolerance is None else {"tolerance": self.tolerance}
         rates = [self.rate * one for one in problem.rates]
         return adam(problem.parameters, problem.objective, rates=rates, steps=self.steps, **tolerance, **problem._told)
 
@@ -125,6 +126,7 @@ class Minibatch(Stepping):
     usual = {"steps": 1000, "rate": 0.03}
 
     def descend(self, problem: Problem) -> Descent:
+        assert self.steps is not None and self.rate is not None
         rates = [self.rate * one for one in problem.rates]
         return minibatch(
             problem.parameters, problem.objective, problem.draw, rates=rates, steps=self.steps,
@@ -146,7 +148,8 @@ class LBFGS(Stepping):
     usual = {"steps": 200}
 
     def descend(self, problem: Problem) -> Descent:
-        tolerance = {} if self.tolerance is None else {"tolerance": self.tolerance}
+        assert self.steps is not None
+        tolerance: dict[str, Any] = {} if self.tolerance is None else {"tolerance": self.tolerance}
         return lbfgs(problem.parameters, problem.objective, steps=self.steps, **tolerance, **problem._told)
 
 

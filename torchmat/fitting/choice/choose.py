@@ -61,7 +61,7 @@ def fit_auto(training: Training, target: Target, geometry: Geometry) -> Fitted:
     for recipe in built_by_parts():
         if _goes_on(climb, recipe.name):
             helps = recovery is not None and _relief_helps(climb, recipe.name)
-            climb.by_parts(recipe, recovery.relief.height if helps else None)
+            climb.by_parts(recipe, recovery.relief.height if recovery and helps else None)
     return _delivered(climb, recovery)
 
 
@@ -146,7 +146,7 @@ def _figures(climb: Climb, best: Option, reason: str) -> dict[str, Any]:
     measured = climb.examiner.measure(best.material)
     return {
         "target": dataclasses.asdict(climb.target), "margin": MARGIN, "outcome": reason,
-        "short_by_db": max(0.0, gain_db(best.cost, climb.limit)) if reason == NOT_MET else None,
+        "short_by_db": max(0.0, gain_db(best.cost, climb.limit)) if reason == NOT_MET and climb.limit else None,
         "validation_samples": climb.examiner.samples, "candidates": climb.log.rows,
         "chosen": {
             "candidate": best.name, "model": best.rung.model, "options": best.rung.settings,
@@ -155,7 +155,7 @@ def _figures(climb: Climb, best: Option, reason: str) -> dict[str, Any]:
             "shared_bytes": best.material.shared_bytes,
             **measured._asdict(), "maps": _stored_maps(best.material),
         },
-        "shrinking": [_told(step, climb.target) for step in best.shrunk.steps],
+        "shrinking": [_told(step, climb.target) for step in (best.shrunk.steps if best.shrunk else ())],
     }
 
 

@@ -11,7 +11,7 @@ from torch import Tensor
 from torchmat.fitting.choice.candidate import Option, fit_flat_rung
 from torchmat.fitting.choice.decisions import Decisions, gain_db
 from torchmat.fitting.choice.examine import Examiner, Measured, keep_back, of_some_texels, wanted_cost
-from torchmat.fitting.choice.ladder import RELIEF_BYTES, all_rungs, named
+from torchmat.fitting.choice.ladder import RELIEF_BYTES, all_rungs, ladder_of, named
 from torchmat.fitting.choice.parts import PartsClimb
 from torchmat.fitting.choice.shrink import shrink, total_bytes
 from torchmat.fitting.recipe import Recipe, Rung, recipe_of
@@ -74,8 +74,8 @@ class Climb:
         """Try the closed forms on a relief, all on samples that are brought onto it once."""
         surface, bare, shadowed = bring_onto(replace(self.part, progress=False), height), None, None
         # What fits shadow itself comes first, from samples that need no second copy.
-        rungs = (rung for rung in all_rungs() if not rung.stored)
-        rungs = sorted(rungs, key=lambda rung: recipe_of(rung.model).on_relief is None)
+        flat = [rung for rung in all_rungs() if not rung.stored]
+        rungs = sorted(flat, key=lambda rung: recipe_of(rung.model).on_relief is None)
         for rung in rungs:
             if self._cannot_pay(rung, height):
                 continue
@@ -83,7 +83,9 @@ class Climb:
             with working(f"trying {named(rung, height)}", self.training.progress):
                 own = recipe_of(rung.model).on_relief
                 if own is not None:
-                    fitted = own(surface, height, **rung.settings)
+                    found = own(surface, height, **rung.settings)
+                    assert found is not None  # rungs are what it takes
+                    fitted = found
                 else:
                     if bare is None:
                         shadowed = ambient(surface)
@@ -188,7 +190,7 @@ class Climb:
 
     def _without_idle_parts(self, option: Option) -> Option:
         """Leave out the parts that shrinking made one number, if that costs nothing that matters."""
-        bare = recipe_of(option.rung.model).ladder.without_idle_parts(option.material)
+        bare = ladder_of(recipe_of(option.rung.model)).without_idle_parts(option.material)
         if bare.maps.keys() == option.material.maps.keys():
             return option
         cost = self.cost_of(bare)
@@ -242,6 +244,7 @@ class Climb:
 
     def _within_reach(self, option: Option) -> bool:
         """Return whether a candidate meets the wanted error, in 8 bits or in more; of some texels: about."""
+        assert self.limit is not None
         limit = self.limit * (1 + _UNSURE * option.thin)
         if option.cost <= limit:
             return True

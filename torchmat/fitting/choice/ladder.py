@@ -7,7 +7,7 @@ from typing import Any
 
 from torch import Tensor
 
-from torchmat.fitting.recipe import RECIPES, Recipe, Rung
+from torchmat.fitting.recipe import RECIPES, Ladder, Recipe, Rung
 
 RELIEF_BYTES = 5  # height and ambient
 
@@ -27,6 +27,12 @@ def built_by_parts() -> list[Recipe]:
     return [recipe for recipe in RECIPES.values() if recipe.ladder is not None]
 
 
+def ladder_of(recipe: Recipe) -> Ladder:
+    """Return the ladder of a recipe that has one."""
+    assert recipe.ladder is not None
+    return recipe.ladder
+
+
 def rung_of_parts(recipe: Recipe, options: Mapping[str, Any], parts: tuple[str, ...] = ()) -> Rung:
     """Return a material with these options, called after its parts."""
-    return Rung(" + ".join((recipe.name, *parts)), recipe.name, recipe.ladder.bytes, options)
+    return Rung(" + ".join((recipe.name, *parts)), recipe.name, ladder_of(recipe).bytes, options)

@@ -13,9 +13,9 @@ import torch
 from torch import Tensor
 
 from torchmat.fitting.choice.candidate import Option, fit_rung
-from torchmat.fitting.choice.ladder import named, rung_of_parts
+from torchmat.fitting.choice.ladder import ladder_of, named, rung_of_parts
 from torchmat.fitting.choice.shrink import total_bytes
-from torchmat.fitting.recipe import Part, Recipe, Rung
+from torchmat.fitting.recipe import Ladder, Part, Recipe, Rung
 from torchmat.fitting.relief.surface import Surface, bring_onto
 from torchmat.fitting.relief.window import Window
 from torchmat.fitting.training import Fitted, Training
@@ -57,6 +57,11 @@ class PartsClimb:
         return self.rung(self._parts)
 
     @property
+    def ladder(self) -> Ladder:
+        """The ladder that is climbed."""
+        return ladder_of(self.recipe)
+
+    @property
     def _parts(self) -> tuple[Part, ...]:
         return tuple(one.part for one in self.kept)
 
@@ -66,8 +71,8 @@ class PartsClimb:
 
     def rung(self, parts: tuple[Part, ...], **more: float) -> Rung:
         """Return the material with these parts, which are named in the order of the ladder."""
-        options = {**self.recipe.ladder.bare, **more}
-        parts = tuple(part for part in self.recipe.ladder.parts if part in parts)
+        options = {**self.ladder.bare, **more}
+        parts = tuple(part for part in self.ladder.parts if part in parts)
         for part in parts:
             options |= part.options
         return rung_of_parts(self.recipe, options, tuple(part.name for part in parts))
@@ -76,18 +81,24 @@ class PartsClimb:
         """Fit for a short time; note what that brings against `before`, which has a part less or, `fewer`, one more."""
         start, rung = self.climb.watch.seconds, self.rung(parts, effort=EFFORT)
         with working(f"trying {named(rung, self.height)}", self.climb.training.progress):
-            fitted = self.recipe.on_relief(self.surface, self.height, **rung.settings)
+            fitted = self._fitted(rung)
         return self.climb.tried_shortly(rung, fitted, self.height, start, before, by, fewer)
 
     def whole(self, rung: Rung) -> Fitted:
         """Return the whole fit of a rung, on a relief with the height moving."""
         if self.height is not None:
             return fit_rung(self.climb.part, rung, self.height)
-        return self.recipe.on_relief(self.surface, None, **rung.settings)
+        return self._fitted(rung)
+
+    def _fitted(self, rung: Rung) -> Fitted:
+        assert self.recipe.on_relief is not None
+        found = self.recipe.on_relief(self.surface, self.height, **rung.settings)
+        assert found is not None  # what is built part by part takes no other way
+        return found
 
     def _too_large(self, part: Part) -> bool:
         material = self.best.fitted.material
-        more = part.bytes + max(0, part.lobes - self._lobes) * self.recipe.ladder.bytes_of_lobe(material)
+        more = part.bytes + max(0, part.lobes - self._lobes) * self.ladder.bytes_of_lobe(material)
         return self.climb.too_large(named(self.rung((*self._parts, part)), self.height), total_bytes(material) + more)
 
     def _try(self, part: Part) -> float:
@@ -102,7 +113,7 @@ class PartsClimb:
     def _forward(self) -> list[_Tried]:
         """Try each part in order, and return what was left."""
         left: list[_Tried] = []
-        for part in self.recipe.ladder.parts:
+        for part in self.ladder.parts:
             if self.climb.watch.spent:
                 break
             after = len(self.kept)

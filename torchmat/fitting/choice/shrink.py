@@ -183,7 +183,7 @@ class _Shrinking:
         """Return the material with these steps taken."""
         taken = [step for step in steps if step.alone is not None]
         if len(taken) < 2:
-            return taken[0].alone if taken else self.material
+            return next((step.alone for step in steps if step.alone is not None), self.material)
         return self.material.stored_at({step.map: step.stored for step in taken})
 
     def within_cost(self, fronts: list[list[Step]], limit: float) -> Shrunk | None:
@@ -197,7 +197,7 @@ class _Shrinking:
         best = None if start is None else self._as_far_as_known(start)
         allowed, low, high, tried = spare, 0.0, math.inf, set()
         for _ in range(TRIES):
-            chosen = _combined(fronts, lambda saved, added, most=allowed: -saved if added <= most else math.inf)
+            chosen = _combined(fronts, partial(_saved_within, allowed))
             if chosen is None or chosen in tried:
                 break
             tried.add(chosen)
@@ -211,7 +211,7 @@ class _Shrinking:
             low, high = (max(low, said), high) if cost <= limit else (low, min(high, said))
             guess = said * spare / (cost - self.cost) if said > 0 and cost > self.cost else allowed + limit - cost
             allowed = guess if low < guess < high else (low + high) / 2 if high < math.inf else 2 * guess
-        return best if best is None else self._further(fronts, start, best, limit)
+        return None if best is None or start is None else self._further(fronts, start, best, limit)
 
     def _further(self, fronts: list[list[Step]], chosen: Steps, best: Shrunk, limit: float) -> Shrunk:
         """Go on from a combination map by map, as long as the measured cost is within the limit.
@@ -258,8 +258,12 @@ class _Shrinking:
     def within_bytes(self, fronts: list[list[Step]], save: float) -> Shrunk:
         """Return what costs least of all that saves so many bytes a texel, or what saves most."""
         chosen = _combined(fronts, lambda saved, added: added if saved >= save - 1e-9 else math.inf)
-        found = self.stored(chosen or _combined(fronts, lambda saved, added: -saved))
+        found = self.stored(chosen or _combined(fronts, partial(_saved_within, math.inf)) or ())
         return Shrunk(found, self.cost_of(found))
+
+
+def _saved_within(most: float, saved: float, added: float) -> float:
+    return -saved if added <= most else math.inf
 
 
 def _as_far_as(reach: float, steps: Iterator[Step]) -> list[Step]:

@@ -33,6 +33,7 @@ class LobeProblem(NamedTuple):
 
     def jacobian(self, parameters: Tensor) -> Tensor:
         """Return the derivatives of the residual, [problem, 3 m, P], by the lobe's formula."""
+        assert self.lobe.jacobian is not None
         rows = self.lobe.jacobian(parameters[:, None], self.light, self.view)
         return (rows * self.weight[..., None]).flatten(1, 2)
 

@@ -171,17 +171,18 @@ class _Fit:
             root[part] = torch.where(weight[part] > 0, value.sqrt(), 0.0)
         return _Pool(rows, root, weight)
 
-    def _error(self, chosen: Tensor) -> float:
+    def _error(self, chosen: Tensor | None) -> float:
         """Return the error of the next group of texels under some of the decoded samples; leave its gradient."""
         group = self.turn % len(self.groups)
         self.turn += 1
         texels = self.groups[group]
+        assert self.pool is not None and chosen is not None
         target, weight = self.pool.root[chosen, :, texels], self.pool.weight[chosen, :, texels]
         with torch.enable_grad():
             known = self.known[:, self.pool.rows[chosen]]
             root = root_of_value(self.latents[group], known, self.tables, _Product.apply)
             if self.objective is not None:
-                return self._step_toward(root.movedim(0, 1), target, weight)
+                return self._step_toward(self.objective, root.movedim(0, 1), target, weight)
         gap = root.detach().movedim(0, 1) - target
         # Below 0 the value is 0 whatever the root: only a target above it pulls.
         gap = torch.where((gap < 0) & (target == 0), 0.0, gap)
@@ -190,10 +191,10 @@ class _Fit:
         with one_thread():
             return float((weighted * gap).mean())
 
-    def _step_toward(self, root: Tensor, target: Tensor, weight: Tensor) -> float:
+    def _step_toward(self, objective: Objective, root: Tensor, target: Tensor, weight: Tensor) -> float:
         """Return the error of roots [k, 3, texels] by an objective over values; leave its gradient."""
         values, wanted = (one.clamp(min=0).square()[..., None] * self.level for one in (root, target))
-        loss = self.objective.squares(values, wanted, weight[..., None]).mean() / self.objective.unit
+        loss = objective.squares(values, wanted, weight[..., None]).mean() / objective.unit
         loss.backward()
         return float(loss.detach())
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import warnings
 from collections.abc import Callable
 
@@ -59,6 +60,7 @@ class _Images:
             used = self.training.used[block.samples.start : block.samples.stop]
             images = block.images
             if block.weight is not None:
+                assert self._mean is not None
                 images = torch.where(block.weight > 0, images, self._mean)
             images = images[used]
             if self._root is not None:
@@ -128,9 +130,15 @@ def fit_pca(training: Training, *, components: int = 16, storage: str = "half") 
     return Fitted(material, shared=Shared({name: maps[name] for name in ("weight", "directions")}))
 
 
+def _known(training: Training, names: tuple[str, ...]) -> dict[str, Tensor]:
+    """Return tables that all texels share, which are known already."""
+    assert training.shared is not None
+    return {name: training.shared.tables[name] for name in names}
+
+
 def _pca_of(training: Training, components: int, storage: str) -> Fitted:
     """Return the PCA whose weights are known already: each texel is projected onto them, in one pass."""
-    maps = {name: training.shared.tables[name] for name in ("weight", "directions")}
+    maps = _known(training, ("weight", "directions"))
     images = _Images(training, keep=False)
     weight = images.weighed(maps["weight"][:, 0].T).T.double()
     with one_thread():
@@ -233,7 +241,7 @@ def fit_local_pca(
 
 def _local_pca_of(training: Training, clusters: int, components: int, storage: str) -> Fitted:
     """Return the local PCA whose tables are known already: each texel takes the nearest cluster's, in one pass."""
-    maps = {name: training.shared.tables[name] for name in ("reflectance", "directions")}
+    maps = _known(training, ("reflectance", "directions"))
     images = _Images(training, keep=False)
     table = images.weighed(maps["reflectance"].permute(2, 0, 1)).unflatten(1, (1 + components, 3))
     table = table.permute(3, 1, 0, 2)  # cluster, row, sample, colour
@@ -284,14 +292,15 @@ def _cluster(
     The first labels come from k-means of the points themselves; then texels move to the cluster whose subspace
     reconstructs them best, until none moves.
     """
-    best = None
+    least, best = math.inf, None
     for _ in range(_RESTARTS):
         seed = int(torch.randint(2**31 - 1, (1,), generator=generator))
         label = _first_labels(points[:, : min(16, points.shape[1])], clusters, seed)
         label, error, means, bases = _lloyd(points, label, clusters, components)
-        if best is None or error < best[0]:
-            best = (error, label, means, bases)
-    return best[1:]
+        if best is None or error < least:
+            least, best = error, (label, means, bases)
+    assert best is not None
+    return best
 
 
 def _first_labels(points: Tensor, clusters: int, seed: int) -> Tensor:

@@ -122,6 +122,7 @@ def _beside_residual(
         return torch.stack([rest(gap).flatten() for gap in gaps])
 
     def jacobian(parameters: Tensor) -> Tensor:
+        assert lobe.jacobian is not None
         rows = lobe.jacobian(parameters[:, None], light, view)
         return torch.stack([rest(part.flatten(1)).reshape(-1, part.shape[-1]) for part in rows])
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -77,7 +76,7 @@ def fit_shading_map(
     check_option(_WHERE, "overflow", overflow, OVERFLOWS)
     lobe = ANALYTIC[brdf]
     known, reason = training.shared, CLOSED_FORM
-    if isinstance(known, ShadingMapShared):
+    if isinstance(known, ShadingMapShared) and known.means is not None:
         means, parameters = known.means, known.tables["lobe"]
     else:
         means, parameters, reason = _global_brdf(training, lobe, slices if joint else 0)
@@ -199,7 +198,8 @@ def _solved(training: Training, r: Tensor, count: int, azimuths: int) -> tuple[T
     return stack.flatten(0, 2), brightest.reshape(1), solved.coverage
 
 
-class _Projection(NamedTuple):
+@dataclass(frozen=True)
+class _Projection:
     """The BRDF against what the slices can explain with it: variable projection (Golub & Pereyra 1973).
 
     For each set of parameters the slices of `curves` [m, K] are solved for, so that only the BRDF's parameters are

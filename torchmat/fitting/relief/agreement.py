@@ -97,7 +97,7 @@ class Agreement:
 
 def on_surface(captured: Captured, maps: Tensor, height: Tensor, smooth: bool = True) -> Tensor:
     """Return maps [n, C, h, w], which are as the images are, brought onto the surface."""
-    position = texel_centres(*height.shape[-2:], height.dtype) - height * captured.slope
+    position = texel_centres(height.shape[-2], height.shape[-1], height.dtype) - height * captured.slope
     return look_up(maps, position[captured.view_index], captured.tiles, "bicubic" if smooth else "bilinear")
 
 

@@ -94,8 +94,9 @@ def recover_relief(training: Training) -> Recovery:
         return Recovery(found, "photometric stereo", 1.0, 0.0, source)
     captured = capture(training)
     size = captured.images.shape[-2:]
-    slopes = slopes_from_normals(found.normal)
-    coarse = _Slopes(_shrink(slopes, size), _shrink(found.confidence, size), training.tiles)
+    slopes, confidence = slopes_from_normals(found.normal), found.confidence
+    assert confidence is not None  # photometric stereo gives it
+    coarse = _Slopes(_shrink(slopes, size), _shrink(confidence, size), training.tiles)
     start = _shrink(found.height, size).float()  # views are compared in single precision, whatever the fit runs in
     captured, flat = _in_time(captured, start, training.watch, until)
     scale, offset, best = _search(captured, start - start.mean(), flat, training.progress, training.watch, until)
@@ -116,7 +117,7 @@ def recover_relief(training: Training) -> Recovery:
     if reached > _GAIN * flat:
         return level
     if tuple(size) != tuple(found.height.shape[-2:]):
-        height = _sharpened(height, _Slopes(slopes, found.confidence, training.tiles))
+        height = _sharpened(height, _Slopes(slopes, confidence, training.tiles))
     relief = found._replace(height=height.to(found.height.dtype))
     return replace(level, relief=relief, scale=scale, offset=offset, disagreement=reached)
 
@@ -182,7 +183,7 @@ def _flattened(found: Relief) -> Relief:
 
 
 def _shrink(maps: Tensor, size: Sequence[int]) -> Tensor:
-    return functional.adaptive_avg_pool2d(maps, tuple(size))
+    return functional.adaptive_avg_pool2d(maps, (size[0], size[1]))
 
 
 def _search(

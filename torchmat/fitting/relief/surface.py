@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import DTypeLike
 import torch
 from torch import Tensor
 
@@ -61,7 +62,7 @@ class Surface:
         return self.lit[self.training.btf.light_index[samples.start : samples.stop]]
 
 
-def _space(shape: tuple[int, ...], dtype: type) -> np.ndarray:
+def _space(shape: tuple[int, ...], dtype: DTypeLike) -> np.ndarray:
     if np.prod(shape) * np.dtype(dtype).itemsize <= IN_MEMORY:
         return np.empty(shape, dtype)
     with tempfile.TemporaryFile(prefix="torchmat-") as file:  # the map keeps it alive

@@ -29,10 +29,11 @@ def scene_figures(
     counting as it is used; `inside_held_out` that on held-out samples, each counting as it is used;
     `outside_held_out` that on those which the scene does not use: what was given up. None where there are none.
     """
-    material = fitted.material
+    material, share = fitted.material, fitted.scene
+    assert share is not None
     per_texel, shared = material.bytes_per_texel, material.shared_bytes
     found: dict[str, Any] = {
-        **dataclasses.asdict(fitted.scene),
+        **dataclasses.asdict(share),
         "bytes": round(per_texel * material.texels) + shared,
         "whole_bytes": round(per_texel * btf.height * btf.width) + shared,
     }

@@ -113,14 +113,14 @@ def plan_tiles(
     own = replace(training, watch=Watch(training.watch.limit * _PLANNING))
     height, relief, found = _height(own, model, options, geometry, memory_mb)
     most = most_texels(training, model, height is not None, memory_mb)
-    step = _step(btf, min(most, recipe.tiling.sharing_texels))
-    some = Window(0, 0, btf.height, btf.width, step)
+    spacing = _step(btf, min(most, recipe.tiling.sharing_texels))
+    some = Window(0, 0, btf.height, btf.width, spacing)
     sight = None if height is None else look_along(own, height)
     fitted = fit_part(own, model, options, height, some, sight)
     if recipe.tiling.settle is not None:
         options, fitted = recipe.tiling.settle(options, fitted)
     side = choose_side(training, model, fitted.material, height is not None, tile_size, memory_mb)
-    texels = -(-btf.height // step) * -(-btf.width // step)
+    texels = -(-btf.height // spacing) * -(-btf.width // spacing)
     figures = {**fitted.figures, **found}
     size, reason = (btf.height, btf.width), fitted.stop_reason
     plan = TilePlan(model, options, fitted.material, fitted.shared, side, size, reason, figures, height, relief, texels)

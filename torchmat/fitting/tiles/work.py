@@ -127,9 +127,9 @@ def fit_key(
 
 def _write(path: Path, key: str, header: dict[str, Any], tensors: dict[str, Tensor]) -> None:
     text = json.dumps({"key": key, **header}).encode()
-    arrays = {name: value.detach().contiguous().numpy() for name, value in tensors.items()}
+    arrays: dict[str, Any] = {name: value.detach().contiguous().numpy() for name, value in tensors.items()}
     with building_file(path) as file, open(file, "wb") as stream:
-        np.savez(stream, **{_HEADER: np.frombuffer(text, np.uint8)}, **arrays)
+        np.savez(stream, **arrays | {_HEADER: np.frombuffer(text, np.uint8)})
 
 
 def _read(path: Path, key: str) -> tuple[dict[str, Any], dict[str, Tensor]] | None:

@@ -92,7 +92,8 @@ class _Fit:
 
     def __post_init__(self) -> None:
         training = self.surface.training
-        self.level = mean_value(training) if training.shared is None else training.shared.level
+        known = training.shared_as(DistributionShared)
+        self.level = mean_value(training) if known is None else known.level
         self.objective = Objective(self.options.objective, self.level)
 
     def run(self) -> Fitted:
@@ -131,7 +132,7 @@ class _Fit:
         """Return the solver of a round of so many of `every` step, slower where it goes on from an earlier one."""
         asked = self.options.solver
         own = max(1, round(steps * self.options.effort)) // _FEWER.get(type(asked), 1)
-        wanted = {"steps": max(1, own if asked.steps is None else round(asked.steps * steps / every))}
+        wanted: dict[str, Any] = {"steps": max(1, own if asked.steps is None else round(asked.steps * steps / every))}
         if hasattr(asked, "rate"):
             wanted["rate"] = self._rate * 2 / 3 if again else self._rate
         return replace(asked, **wanted)
@@ -140,8 +141,9 @@ class _Fit:
         """Return the parameters at the start, in a hurried fit with what only adds light as bright as the data."""
         training = self.surface.training
         raw = raw_maps(starts, parts, self.options.specular_size, training)
-        if training.shared is not None:
-            self.known = {name: value for name, value in training.shared.parameters.items() if name in raw}
+        known = training.shared_as(DistributionShared)
+        if known is not None:
+            self.known = {name: value for name, value in known.parameters.items() if name in raw}
             raw = {name: value for name, value in raw.items() if name not in self.known}
         hurried = self.options.effort < _HURRIED or math.isfinite(training.watch.limit)
         if hurried and training.shared is None and self._values_of_an_entry(raw) >= _FEWEST_VALUES:
@@ -184,8 +186,9 @@ class _Fit:
     def _shared(self, raw: dict[str, Tensor], parts: Parts, starts: dict[str, Tensor]) -> DistributionShared:
         """Return what other texels of the material need: the unit, the specular maps, and what groups texels."""
         training = self.surface.training
-        if training.shared is not None:
-            return training.shared
+        known = training.shared_as(DistributionShared)
+        if known is not None:
+            return known
         groups = None if parts.lobes < 2 else group_texels(starts["features"], parts.lobes, training.seed)
         return DistributionShared(level=self.level, log_specular=raw.get("specular"), logit_tilt=raw.get("tilt"), groups=groups)
 
@@ -194,7 +197,8 @@ class _Fit:
         given = self.options
         optional = ("fresnel", "rotation", "tilt")
         lobes = 1 if given.lobes == "auto" else given.lobes
-        parts = Parts(lobes, *(getattr(given, name) is True for name in optional), given.normal, given.specular_mask)
+        asked = {name: getattr(given, name) is True for name in optional}
+        parts = Parts(lobes, **asked, normal=given.normal, specular_mask=given.specular_mask)
         if lobes == 0:
             return parts, []
         trials = [lambda p, n=name: replace(p, **{n: True}) for name in optional if getattr(given, name) == "auto"]
@@ -285,7 +289,8 @@ class _Fit:
         least = 1e-8 if training.shared is None else _LEAST_GRADIENT / texels
         found = solver.descend(Problem(
             parameters, objective, rates_of(raw), lambda generator: training.drawn(samples, generator), self._images,
-            training.seed, least, until, watch or training.watch, watch and (lambda: self._material(raw, parts)),
+            training.seed, least, until, watch or training.watch,
+            (lambda: self._material(raw, parts)) if watch else None,
             training.progress if watch else False,
         ))
         for value in parameters:
@@ -293,7 +298,8 @@ class _Fit:
         return found
 
     def _move_height(self, raw: dict[str, Tensor], parts: Parts) -> None:
-        surface, texels = self.surface, torch.arange(len(self.surface.training.btf))
+        surface, height, texels = self.surface, self.height, torch.arange(len(self.surface.training.btf))
+        assert height is not None
 
         def steepness(values: Tensor) -> Tensor:
             slope = power(values.clamp(min=0) + self.objective.darkest, DISPLAY_POWER - 1)
@@ -301,7 +307,7 @@ class _Fit:
 
         slopes = raw.get("normal", surface.slopes)
         self.height = refine_height(
-            surface, self.height, slopes, lambda run: self._predict(raw, parts, surface, texels[run]), steepness
+            surface, height, slopes, lambda run: self._predict(raw, parts, surface, texels[run]), steepness
         )
         self.surface = bring_onto(surface.source, self.height, into=surface)
 

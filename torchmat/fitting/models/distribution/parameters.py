@@ -98,7 +98,8 @@ def raw_maps(starts: dict[str, Tensor], parts: Parts, size: int, training: Train
     there = {"diffuse", "ambient", *parts.names} | ({"specular"} if parts.lobes else set())
     raw = {name: value for name, value in raw.items() if name in there}
     if parts.lobes > 1:
-        groups = None if training.shared is None else training.shared.groups
+        known = training.shared_as(DistributionShared)
+        groups = None if known is None else known.groups
         if groups is None:
             groups = group_texels(starts["features"], parts.lobes, training.seed)
         raw["index"] = _start_index(starts["features"], parts.lobes, groups)
@@ -125,8 +126,8 @@ def group_texels(features: Tensor, lobes: int, seed: int) -> Tensor:
     rows = features.flatten(1).double()
     with one_thread():
         mean, spread = rows.mean(dim=1), rows.std(dim=1, correction=0).clamp(min=1e-3)
-    rows = ((rows.T - mean) / spread).numpy()
-    some = rows[:: max(1, len(rows) // 20000)]
+    scaled = ((rows.T - mean) / spread).numpy()
+    some = scaled[:: max(1, len(scaled) // 20000)]
     clusters = min(lobes, len(np.unique(some, axis=0)))
     # Threads of k-means add their sums in the order in which they finish.
     with threadpool_limits(1, user_api="openmp"):

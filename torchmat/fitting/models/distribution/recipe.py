@@ -18,7 +18,7 @@ def _settle(options: dict[str, Any], fitted: Fitted) -> tuple[dict[str, Any], Fi
     """Return options that leave nothing to decide, and the fit with specular maps of the scale that tiles take."""
     parts, lobes = (fitted.material.options[name] for name in ("parts", "lobes"))
     chosen = {part: part in parts for part in ("fresnel", "rotation", "tilt")}
-    if lobes:
+    if lobes and isinstance(fitted.shared, DistributionShared):
         fitted = fitted.with_material(fitted.material.with_maps(specular=fitted.shared.specular))
     return {**options, "lobes": lobes, **chosen}, fitted
 

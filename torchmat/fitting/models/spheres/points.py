@@ -56,9 +56,9 @@ def sphere_points(brdf: Any, lights_deg: Sequence[float], count: int, seed: int 
         energy = torch.stack([(w * v.square()).sum() for w, v in zip(weights, values, strict=True)])
     # A picture lit from behind is black: its error counts as that of the other pictures does.
     energy = energy.clamp(min=float(energy.mean()) * 1e-4 or 1.0)
-    weights = [w / e for w, e in zip(weights, energy, strict=True)]
+    scaled = [w / e for w, e in zip(weights, energy, strict=True)]
     counts = tuple(len(w) for w in weights)
-    return SpherePoints(torch.cat(lights, 2), torch.cat(views, 2), torch.cat(values, 1), torch.cat(weights), counts)
+    return SpherePoints(torch.cat(lights, 2), torch.cat(views, 2), torch.cat(values, 1), torch.cat(scaled), counts)
 
 
 def _raised(place: Tensor) -> Tensor:

@@ -51,7 +51,8 @@ def fit_sphere_images(
         raise RangeError(message("fit_sphere_images", "angles_deg", "hold at least 2", f"they are {len(angles)}", step))
     shape = Shape(torch.tensor(angles, dtype=brdf.dtype), _start_turn(curves, samples, len(angles), brdf.dtype))
     seen = [(number + 0.5) * math.degrees(angles[-1]) / lights for number in range(lights)]
-    reason, history = CONVERGED, []
+    reason = CONVERGED
+    history: list[tuple[float, float]] = []
     with torch.no_grad():
         if curves != "paper" or place:
             solver, state = _begin(brdf, shape, seen, size, coarse, (curves != "paper", place), seed)

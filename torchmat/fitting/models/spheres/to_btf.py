@@ -50,7 +50,8 @@ def fit_sphere_images_to_btf(
             raise RangeError(message("fit sphere_images", name, f"be at least {least} and finite", f"it is {value}"))
     dtype = training.dtype
     angles = [number * _LAST_DEG / (pictures - 1) for number in range(pictures)]
-    images, reason, figures = training.table("images"), CLOSED_FORM, {}
+    images, reason = training.table("images"), CLOSED_FORM
+    figures: dict[str, Any] = {}
     if images is None:
         images, reason, figures = _pictures(training, angles, size, base, smoothness)
     maps = {"images": images, "turn": paper_turn(dtype), "tint": torch.ones(3, 1, 1, dtype=dtype)}
