@@ -167,7 +167,7 @@ def test_too_little_memory_says_how_much_is_needed():
     with pytest.raises(RangeError, match="memory_mb must be at least 1200; .* recovering the relief"):
         tm.fit(btf_of(), "texture", memory_mb=900, geometry="recover")
     needed = 620  # 20 more than the program and its blocks
-    with pytest.raises(RangeError, match="tile must fit into"):
+    with pytest.raises(RangeError, match="tile_size must fit into"):
         tm.fit(btf_of(), "texture", memory_mb=needed, tile_size=4000)
 
 
@@ -335,7 +335,7 @@ def test_other_data_has_another_key():
 def test_the_command_goes_on_where_it_was(tmp_path, capsys):
     from torchmat.cli import main
 
-    (tmp_path / "fit.toml").write_text('model = "texture"\ntile = 32\n')
+    (tmp_path / "fit.toml").write_text('model = "texture"\ntile_size = 32\n')
     work, out = tmp_path / "work", tmp_path / "out"
     assert main(["fit", str(tmp_path / "fit.toml"), "--out", str(out), "--work", str(work), "--no-pictures"]) == 0
     assert json.loads((out / "report.json").read_text())["figures"]["tiles"]["side"] == 32 and not work.exists()
