@@ -1,4 +1,7 @@
-"""Hard cases of fits: every model by every solver on data that gives it trouble. Finite, flagged, and no worse than it must be."""
+"""Hard cases of fits: every model by every solver on data that gives it trouble. Finite, flagged, and no worse than it must be.
+
+What a fit leaves unexplained of its own samples is bounded for each model: a tenth above the worst of its solvers.
+"""
 
 from __future__ import annotations
 
@@ -29,6 +32,18 @@ UNKNOWNS = {"texture": 1, "lambert": 3, "ptm": 6, "lptm": 6, "hsh": 9, "phong_sr
 # The reasons that solvers give, by the constants that name them.
 NAMED = {value for name, value in vars(reasons).items() if name.isupper()}
 Road = tuple[str, str]
+# Share of the squares that is left by ordinary samples with a few hard ones among them, and by samples at the horizon
+# alone, where harmonics by steps and a network of so few diverge. A step 12 deep leaves all models about as much.
+LEFT = {
+    "texture": 0.083, "lambert": 0.04, "lptm": 0.06, "ptm": 0.06, "hsh": 0.073, "phong_srf": 0.044, "pca": 0.0025,
+    "local_pca": 0.036, "sphere_images": 0.077, "shading_map": 0.066, "distribution": 0.112, "neural": 3.1,
+}
+LEFT_GRAZING = {
+    "texture": 0.94, "lambert": 0.075, "lptm": 0.01, "ptm": 0.01, "hsh": 3.1, "phong_srf": 0.165, "pca": 0.0025,
+    "local_pca": 0.06, "sphere_images": 0.61, "shading_map": 0.88, "distribution": 0.98, "neural": 1.3,
+}
+LEFT_OVER_A_STEP = 0.275
+BLACK = 1.001  # what black leaves: no model that is registered tomorrow may do worse
 
 
 def is_default(given: Road) -> bool:
@@ -84,6 +99,23 @@ def predicted(result: tm.FitResult, btf: Btf) -> torch.Tensor:
         return predict(result.material, btf, torch.arange(len(btf)))
 
 
+def left_over(material: tm.Material, btf: Btf) -> float:
+    """Return the squared error of a material on the valid samples of `btf`, as a share of their squares."""
+    rows = torch.arange(len(btf))
+    with torch.no_grad():
+        found = predict(material, btf, rows)
+    target, valid = btf.images(rows, found.dtype), btf.valid(rows)
+    return float(((found - target).square() * valid).double().sum() / (target.square() * valid).double().sum())
+
+
+def explained(btf: Btf, given: Road, room: Room, most: float, **options: Any) -> tm.FitResult:
+    """Fit; assert besides what `fitted` does that no more than `most` of the samples is left unexplained."""
+    result = fitted(btf, given, room, **options)
+    left = left_over(result.material, btf)
+    assert left < most, f"{left:.3g} of the samples is not explained, more than {most:g}"
+    return result
+
+
 def _among_ordinary(pairs: list) -> Btf:
     """Return a Btf with samples at these directions beside ordinary ones."""
     light = np.concatenate((LIGHT, [one for one, _ in pairs]))
@@ -92,20 +124,21 @@ def _among_ordinary(pairs: list) -> Btf:
 
 
 def hard_pairs(given: Road, room: Room) -> None:
-    """Case 1: samples at equal, mirrored and opposite directions and at the horizon among the others."""
-    fitted(_among_ordinary([pair for pair in HARD_PAIRS.values() if min(pair[0][2], pair[1][2]) > 1e-12]), given, room)
+    """Case 1: samples at equal, mirrored and opposite directions and at the horizon among the others are explained."""
+    pairs = [pair for pair in HARD_PAIRS.values() if min(pair[0][2], pair[1][2]) > 1e-12]
+    explained(_among_ordinary(pairs), given, room, LEFT.get(given[0], BLACK))
 
 
 def all_grazing(given: Road, room: Room) -> None:
-    """Case 2: nothing but samples whose light and view sink together."""
+    """Case 2: nothing but samples whose light and view sink together, explained as far as each model can."""
     pairs = [(graze(a, 10.0**-k), graze(a + 0.5, 10.0**-k)) for k in range(1, 8) for a in (0.0, 1.3, 3.0, 4.5)]
     light, view = (np.array(rows) for rows in zip(*pairs, strict=True))
-    fitted(btf_of(plausible_images(light, view), light, view), given, room)
+    explained(btf_of(plausible_images(light, view), light, view), given, room, LEFT_GRAZING.get(given[0], BLACK))
 
 
 def half_vector_places(given: Road, room: Room) -> None:
-    """Case 4: samples whose half vectors lie at the centre, at edges and at the rim of parabolic maps."""
-    fitted(_among_ordinary(half_pairs()), given, room)
+    """Case 4: samples whose half vectors lie at the centre, at edges and at the rim of parabolic maps are explained."""
+    explained(_among_ordinary(half_pairs()), given, room, LEFT.get(given[0], BLACK))
 
 
 def one_turn_more(given: Road, room: Room) -> float:
@@ -125,11 +158,11 @@ def one_turn_more(given: Road, room: Room) -> float:
 
 
 def ulp_from_unit(given: Road, room: Room) -> None:
-    """Case 6: directions one ulp too long or too short among the samples."""
+    """Case 6: directions one ulp too long or too short among the samples, which are explained."""
     eps = np.finfo(np.float32).eps
     longer = [(tuple(s * x for x in light), tuple(s * x for x in view)) for s in (1 + eps, 1 - eps)
               for light, view in (HARD_PAIRS["light_and_view_are_the_normal"], HARD_PAIRS["light_is_view"], HARD_PAIRS["mirror_pair"])]
-    fitted(_among_ordinary(longer), given, room)
+    explained(_among_ordinary(longer), given, room, LEFT.get(given[0], BLACK))
 
 
 def black_and_white(given: Road, room: Room) -> None:
@@ -260,11 +293,11 @@ def masked_values(given: Road, room: Room) -> None:
 
 
 def over_a_step(given: Road, room: Room) -> None:
-    """Case 12: a relief with a step, seen at 75 degrees, where rays leave the tile."""
+    """Case 12: a relief with a step, seen at 75 degrees, where rays leave the tile; what is not hidden is explained."""
     light, view = all_pairs(hemisphere(((20, 3), (60, 4))), hemisphere(((0, 1), (75, 3))))
     height = torch.zeros(1, 12, 12)
     height[..., 4:7] = 0.3
-    fitted(btf_of(plausible_images(light, view, 12, 12), light, view), given, room, geometry=height)
+    explained(btf_of(plausible_images(light, view, 12, 12), light, view), given, room, LEFT_OVER_A_STEP, geometry=height)
 
 
 def precision(given: Road, room: Room) -> float:
@@ -291,15 +324,22 @@ class _Poisoned:
 
 
 def named_reasons(given: Road, room: Room) -> None:
-    """Case 14: a budget of no time, steps a thousand times too large, and an objective that turns to NaN end by name."""
+    """Case 14: a budget of no time, steps a thousand times too large, and an objective that turns to NaN end by name.
+
+    What comes back is the start or better; of steps that are too large what is no worse than black.
+    """
     model, solver = given
     btf = btf_of(plausible_images(LIGHT, VIEW))
-    fitted(btf, given, room, seconds=1e-6)
+    start = fitted(btf, given, room, seconds=1e-6)
+    iterates = solver in DESCENTS and (model in ("distribution", "neural") or not is_default(given))
+    assert start.stop_reason == (reasons.BUDGET if iterates else reasons.CONVERGED)
+    left = left_over(start.material, btf)
+    assert left < {"distribution": 0.22, "neural": 13.0}.get(model, LEFT.get(model, BLACK))
     if solver not in DESCENTS or model == "distribution" or is_default(given):
         return  # no steps whose length could be chosen
     far = {} if solver == LBFGS.name else {"rate": 30.0}  # a thousand times the usual
-    fitted(btf, given, room, solver=stepping(model, solver, room, **far))
-    fitted(btf, given, room, objective=_Poisoned())
+    explained(btf, given, room, BLACK, solver=stepping(model, solver, room, **far))
+    explained(btf, given, room, 1.001 * left, objective=_Poisoned())
 
 
 def same_bits(given: Road, room: Room) -> None:

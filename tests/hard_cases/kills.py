@@ -161,16 +161,21 @@ WORKS = (Export, Fitting, Iterative, Pictures, Volume)
 
 def photographs(folder: Path) -> Path:
     """Write a small folder of photographs with its manifest; return it."""
-    import numpy as np
     from tests.support import all_pairs, hemisphere, plausible_images
+
+    light, view = all_pairs(hemisphere(), hemisphere(((0, 1), (40, 3))))
+    return written(folder, plausible_images(light, view, 12, 10), light, view)
+
+
+def written(folder: Path, images, light, view) -> Path:
+    """Write images [n, 3, H, W] as 16-bit photographs with their manifest; return the folder."""
+    import numpy as np
 
     from torchmat.images import write_image
 
-    light, view = all_pairs(hemisphere(), hemisphere(((0, 1), (40, 3))))
-    images = plausible_images(light, view, 12, 10).clip(0, 1)
     folder.mkdir()
     lines = ["file,light_x,light_y,light_z,view_x,view_y,view_z"]
-    for number, image in enumerate(images):
+    for number, image in enumerate(images.clip(0, 1)):
         write_image(folder / f"{number:03d}.png", (image.transpose(1, 2, 0) * 65535).round().astype(np.uint16))
         lines.append(",".join([f"{number:03d}.png", *(f"{x:.9f}" for x in (*light[number], *view[number]))]))
     (folder / "manifest.csv").write_text("\n".join(lines) + "\n")

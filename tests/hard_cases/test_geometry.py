@@ -9,6 +9,7 @@ import pytest
 import torch
 from tests.brdf.directions import graze
 from tests.fitting.reference_scene import centres, relief_scene
+from tests.hard_cases.cases_fitting import left_over
 from tests.hard_cases.cases_shading import bumps, shaded
 from tests.models.examples import make
 from tests.support import all_pairs, assert_close, hemisphere, plausible_images
@@ -60,6 +61,10 @@ def test_8_tiny_and_huge_values_in_one_btf(model):
         assert_close(found[..., 5:7] * 1e8, expected[..., 5:7], 1e-3 if model == "lambert" else 1e-5)
 
 
+# A network of a hundredth of its steps explains half of what it is shown, all others leave far less than a tenth.
+LEFT = {"neural": 0.75}
+
+
 def checked(btf: Btf, model: str, height: torch.Tensor, **options) -> tm.Material:
     """Fit over a height; assert that maps and pictures are finite; return the material."""
     options = {"holdout": 0.0, "measure": False, **OPTIONS.get(model, {}), **options}
@@ -86,7 +91,7 @@ def test_9_a_black_texel_and_one_lit_once(model):
 
 @pytest.mark.parametrize("model", RECIPES)
 @pytest.mark.parametrize("which", ["one light", "one view", "coplanar lights", "two identical", "one sample", "two samples"])
-def test_9_directions_that_do_not_determine_a_model_on_a_given_height(model, which):
+def test_9_directions_that_do_not_determine_a_model_are_explained_and_others_not_made_too_bright(model, which):
     line = np.stack((np.sin(np.linspace(-1, 1, 9)), np.zeros(9), np.cos(np.linspace(-1, 1, 9))), axis=1)
     light, view = {
         "one light": all_pairs(LIGHT[4:5], hemisphere(((0, 1), (40, 5)))), "one view": all_pairs(hemisphere(), VIEW[40:41]),
@@ -96,7 +101,13 @@ def test_9_directions_that_do_not_determine_a_model_on_a_given_height(model, whi
     btf = Btf.from_tensors(plausible_images(light, view, 6, 6).astype(np.float32), light, view)
     count = min(2, len(light))
     options = {"pca": {"components": count}, "local_pca": {"clusters": 2, "components": count}}.get(model, {})
-    checked(btf, model, bumps(6, 6, 0.05, torch.float32), **options)
+    material = checked(btf, model, bumps(6, 6, 0.05, torch.float32), **options)
+    # Measured: at most 0.071 of one view. One sample a texel is met by closed forms, two by what has unknowns enough.
+    met = {"one sample": set(RECIPES) - {"local_pca", "distribution", "neural"}, "two samples": {"ptm", "hsh", "pca", "phong_srf"}}
+    assert left_over(material, btf) < (1e-6 if model in met.get(which, ()) else LEFT.get(model, 0.09))
+    with torch.no_grad():
+        elsewhere = material.shade(*(torch.from_numpy(d).float()[:, :, None, None] for d in all_pairs(hemisphere(), hemisphere())))
+    assert float(elsewhere.max()) < 2 * float(btf.images(torch.arange(len(btf))).max())  # measured 1.76
 
 
 @pytest.mark.parametrize("which", ["one light", "coplanar lights", "one sample", "two identical"])
@@ -162,10 +173,13 @@ def test_10_rays_and_slopes_on_odd_sizes(size, tiles, dtype):
 
 @pytest.mark.parametrize("model", RECIPES)
 @pytest.mark.parametrize("size", [(1, 9), (9, 1), (7, 13)])
-def test_10_fits_over_odd_sizes(model, size):
+def test_10_fits_over_odd_sizes_explain_their_samples(model, size):
     btf = Btf.from_tensors(plausible_images(LIGHT, VIEW, *size).astype(np.float32), LIGHT, VIEW)
     height = torch.rand(1, *size) * 0.05
-    assert checked(btf, model, height).size == size
+    material = checked(btf, model, height)
+    assert material.size == size
+    # Of a relief of noise, whose colours no parallax holds together: measured 0.136 of a texture.
+    assert left_over(material, btf) < LEFT.get(model, 0.16)
 
 
 @pytest.mark.parametrize("size", SIZES)

@@ -27,7 +27,7 @@ from torchmat.material_io.folder import check_target
 from torchmat.material_io.packing import DESCRIPTION, pack, unpack
 from torchmat.rendering.mesh import load_mesh
 from torchmat.report.describe import is_brdf, is_material
-from torchmat.text_file import MOST_BYTES, read_json, read_text
+from torchmat.text_file import read_json, read_text
 
 DEEP = "[" * 100_000
 
@@ -57,7 +57,7 @@ def test_a_device_without_an_end_is_no_text(tmp_path, read):
 def test_a_table_that_is_far_too_long(tmp_path):
     folder = put_btf(tmp_path / "d")
     with open(folder / "manifest.csv", "r+b") as stream:
-        stream.truncate(MOST_BYTES + 1)
+        stream.truncate(32_000_001)
     with pytest.raises(DataError, match=r"manifest\.csv: the text must be a small file"):
         load_btf(folder)
 
@@ -66,7 +66,7 @@ def test_a_table_that_unpacks_to_far_too_much(tmp_path):
     archive = zip_of(tmp_path / "d.zip", members_of(put_btf(tmp_path / "d")) | {"manifest.csv": b"a"})
     data = archive.read_bytes()
     at = data.rindex(b"PK\x01\x02", 0, data.rindex(b"manifest.csv"))
-    archive.write_bytes(data[: at + 24] + struct.pack("<I", MOST_BYTES + 1) + data[at + 28 :])
+    archive.write_bytes(data[: at + 24] + struct.pack("<I", 32_000_001) + data[at + 28 :])
     with pytest.raises(DataError, match=r"manifest\.csv: the text must be a small file"):
         load_btf(archive)
 

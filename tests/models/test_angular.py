@@ -9,7 +9,7 @@ from tests.models.examples import assert_same, directions
 from tests.reference.interpolate import plane_value
 from tests.support import all_pairs, hemisphere
 
-from torchmat.models.angular import NEIGHBOURS, neighbour_weights, pairs, projected
+from torchmat.models.angular import neighbour_weights, pairs, projected
 
 
 def _known(rings=((0, 1), (30, 6), (65, 10)), dtype=torch.float64):
@@ -37,7 +37,7 @@ def test_weights_sum_to_one_and_reproduce_constants(dtype):
     known = _known(dtype=dtype)
     light, view = directions(200, dtype, lowest=0.01), directions(200, dtype, seed=2, lowest=0.01)
     index, weight = neighbour_weights(known, light, view)
-    assert index.shape == weight.shape == (200, NEIGHBOURS)
+    assert index.shape == weight.shape == (200, 12)
     assert_same(weight.sum(dim=1), torch.ones(200, dtype=dtype))
     table = torch.full((len(known), 1), 0.7, dtype=dtype)
     assert_same(_interpolate(known, table, light, view), torch.full((200, 1), 0.7, dtype=dtype))

@@ -17,8 +17,9 @@ from torchmat.models import SphereImages
 from torchmat.models.sphere_geometry import (
     directions_on, find_look_ups, find_neighbours, find_turns, place_on_sphere, sine_to_half, sphere_normals,
 )
-from torchmat.models.sphere_images import PAPER_ANGLES_DEG, angle_name, constant_turn, paper_turn, render_spheres
+from torchmat.models.sphere_images import angle_name, constant_turn, paper_turn, render_spheres
 
+PAPER_ANGLES_DEG = (0.0, 45.0, 90.0, 135.0)
 SIX = (0.0, 30.0, 60.0, 90.0, 120.0, 150.0)
 LAMBERT = AnalyticBrdf("lambert", diffuse=(0.6, 0.3, 0.1), dtype=torch.float64)
 GLOSSY = AnalyticBrdf("ggx", diffuse=(0.3, 0.2, 0.1), specular=0.05, roughness=0.25, dtype=torch.float64)

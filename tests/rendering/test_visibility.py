@@ -15,7 +15,7 @@ from torchmat.errors import RangeError
 from torchmat.rendering.camera import Camera
 from torchmat.rendering.mesh import of_arrays
 from torchmat.rendering.shapes import SHAPES, make_mesh
-from torchmat.rendering.visibility import RAYS, check_outside, first_hits, see, winding_number
+from torchmat.rendering.visibility import check_outside, first_hits, see, winding_number
 
 PARTS = ("weight", "position", "frame", "view", "uv", "footprint", "share")
 
@@ -176,7 +176,7 @@ def test_a_camera_or_light_inside_is_an_error_that_says_so(sphere):
     check_outside(squares((0, 0, 0, 5), (0, 0, 1, 0.5)), "the light", (0, 0, 1.001))  # on a table on the floor
 
 
-@pytest.mark.parametrize("rays", RAYS)
+@pytest.mark.parametrize("rays", (1, 4, 9, 16))
 @pytest.mark.parametrize("repeat", [1.0, 3.0, 1e4])
 def test_footprint_seen_head_on(rays, repeat, dtype):
     seen = see(make_mesh("quad"), front(2.0), (8, 10), rays, repeat=repeat, dtype=dtype)
@@ -264,7 +264,7 @@ def test_places_and_coordinates_by_hand(dtype):
 
 
 @pytest.mark.parametrize("size", [1, (1, 7), (6, 1), (4, 9)])
-@pytest.mark.parametrize("rays", RAYS)
+@pytest.mark.parametrize("rays", (1, 4, 9, 16))
 def test_weights_sum_to_the_covered_share(size, rays, dtype):
     rows, columns = (size, size) if isinstance(size, int) else size
     seen = see(squares((0, 0, 0, 50)), front(2.0), size, rays, dtype=dtype)

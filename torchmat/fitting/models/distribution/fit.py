@@ -97,7 +97,6 @@ class _Fit:
         self.objective = Objective(self.options.objective, self.level)
 
     def run(self) -> Fitted:
-        training = self.surface.training
         starts = find_starts(self.surface, self.level)
         parts, pilots = self._choose(starts)
         raw = self._begin(starts, parts)
