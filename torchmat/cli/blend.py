@@ -43,23 +43,23 @@ class Blend:
             step = "Leave one of them out."
             raise RangeError(message("blend", "--weight and --mask", "not both be given", "they are", step))
         first, second = load_material(self.first), load_material(self.second)
-        weight = (0.5 if self.weight is None else self.weight) if self.mask is None else self._weights(first)
+        weight = (0.5 if self.weight is None else self.weight) if self.mask is None else self._weights(self.mask, first)
         mixed = blend(first, second, weight, self.filter)
         by = {"weight": weight} if self.mask is None else {"mask": self.mask.name}
         provenance = {"blend": {"of": [Path(path).resolve().name for path in (self.first, self.second)], **by}}
         print(f"material   {write_edited(mixed, self.out, provenance, pictures=not self.no_pictures)}")
 
-    def _weights(self, first):
+    def _weights(self, mask: Path, first):
         from torchmat.btf.photographs import read_linear
         from torchmat.errors import RangeError, check_option, message
         from torchmat.models.resample import FILTERS, resample
 
         check_option("blend", "--filter", self.filter, FILTERS)
-        picture = read_linear(self.mask, "linear")
+        picture = read_linear(mask, "linear")
         apart = float((picture.amax(dim=0) - picture.amin(dim=0)).max())
         if apart > _GREY:
             fact, step = f"its channels differ by up to {apart:.3g}", "Save it as grey."
-            raise RangeError(message(str(self.mask), "the mask", "be grey", fact, step))
+            raise RangeError(message(str(mask), "the mask", "be grey", fact, step))
         weights = resample(picture.mean(dim=0, keepdim=True), first.size, self.filter, first.tiles)
         if tuple(picture.shape[1:]) != first.size:
             print(f"mask       {picture.shape[1]} x {picture.shape[2]}, resampled to {first.size[0]} x {first.size[1]}")

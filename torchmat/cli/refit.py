@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import tyro
 
@@ -48,7 +48,7 @@ class Refit:
 
         check_out("refit", self.out, self.material)  # before the work, not after it
         material, provenance = load_material(self.material), provenance_of(self.material)
-        split = {"holdout": 0.2, "holdout_by": "pair", "seed": 0}
+        split: dict[str, Any] = {"holdout": 0.2, "holdout_by": "pair", "seed": 0}
         split |= {name: provenance[name] for name in split if name in provenance}
         split |= {name: getattr(self, name) for name in split if getattr(self, name) is not None}
         btf = self.read.load(self.data)
