@@ -205,7 +205,10 @@ def test_pack_is_the_function_and_says_what_it_costs(tmp_path, capsys):
 
 
 FLAGS = {
-    "refit": {"--data", "--keep", "--out", "--solver", "--steps", "--effort", "--objective", "--holdout", "--holdout-by", "--seed", "--no-pictures", "--crop"},
+    "refit": {
+        "--data", "--keep", "--out", "--solver", "--steps", "--effort", "--objective", "--holdout", "--holdout-by", "--seed",
+        "--no-pictures", "--crop",
+    },
     "blend": {"--weight", "--mask", "--filter", "--out", "--no-pictures"},
     "export": {"--to", "--out", "--set"},
     "pack": {"--out", "--depth"},

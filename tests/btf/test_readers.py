@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import threading
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -265,3 +266,15 @@ def test_a_listing_that_does_not_fit_together(toy, file, change, words):
     _swapped(toy, listing=lambda source: change(toy.listing(source)))
     with pytest.raises(DataError, match=words):
         tm.load_btf(file)
+
+
+def test_the_example_of_the_page_runs_as_it_stands(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    np.savez("wool.npz", light=LIGHT, view=VIEW, images=IMAGES)
+    page = (Path(tm.__file__).parent / "btf" / "README.md").read_text("utf-8")
+    room = {}
+    try:
+        exec(page.split("```python\n")[1].split("```")[0], room)  # noqa: S102
+        assert np.array_equal(room["btf"].image(3).numpy(), IMAGES[3, :4, :4].transpose(2, 0, 1))
+    finally:
+        unregister_reader("stack")
