@@ -82,13 +82,22 @@ def test_no_package_has_the_name_of_a_public_function():
     assert torchmat.__version__ == importlib.metadata.version("torchmat")
 
 
-def test_importing_the_package_leaves_heavy_libraries_alone():
-    import subprocess
-    import sys
-
-    code = "import sys, torchmat; print([m for m in ('matplotlib', 'sklearn', 'kornia', 'OpenImageIO', 'distributed') if m in sys.modules])"
+def _loaded(code: str, *modules: str) -> list[str]:
+    """Return which of some modules a fresh process has after some code."""
+    code = f"import sys\n{code}\nprint([name for name in {modules} if name in sys.modules])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == "[]"
+    return ast.literal_eval(done.stdout.strip())
+
+
+def test_importing_the_package_loads_nothing_and_its_names_no_heavy_libraries():
+    heavy = ("matplotlib", "sklearn", "kornia", "OpenImageIO", "distributed", "trimesh")
+    assert _loaded("import torchmat, torchmat.errors, torchmat.cli; dir(torchmat)", "torch", "numpy", *heavy) == []
+    assert _loaded("import torchmat; [getattr(torchmat, name) for name in torchmat.__all__]", *heavy) == []
+
+
+def test_a_name_that_is_not_there_is_an_attribute_error_and_rooms_are_attributes():
+    assert not hasattr(torchmat, "no_such_name") and torchmat.models.MATERIALS is torchmat.fitting.recipe.MATERIALS
+    assert set(torchmat.__all__) <= set(dir(torchmat))
 
 
 def test_a_fit_and_a_picture_load_nothing_that_takes_longer_than_they_do():

@@ -10,8 +10,10 @@ import difflib
 import math
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
+from typing import TYPE_CHECKING
 
-import torch
+if TYPE_CHECKING:
+    import torch
 
 _LONGEST = 600  # letters of a fact; more is the content of a damaged file
 
@@ -98,7 +100,7 @@ def check_known_keys(where: str, given: Iterable[str], known: Iterable[str]) -> 
 
 def check_finite(where: str, name: str, value: torch.Tensor, next_step: str = "") -> None:
     """Raise RangeError when `value` holds NaN or Inf; name how many and the first index."""
-    bad = ~torch.isfinite(value)
+    bad = ~value.isfinite()
     count = int(bad.sum())
     if count:
         first = tuple(bad.nonzero()[0].tolist())
