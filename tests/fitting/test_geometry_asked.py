@@ -61,13 +61,12 @@ QUICK = {"lobes": 1, "fresnel": False, "rotation": False, "specular_size": 8, "e
 
 
 def test_a_model_that_is_made_for_relief_recovers_it_unasked():
-    btf = relief_scene().btf()
-    unasked, asked = (tm.fit(btf, "distribution", **QUICK, **more) for more in ({}, {"geometry": "recover"}))
-    for result in (unasked, asked):
-        assert result.report["geometry"] == "recover" and result.report["figures"]["geometry"]["chosen"] == "recover"
-    assert torch.equal(unasked.material.maps["height"], asked.material.maps["height"])
-    assert torch.equal(unasked.material.maps["diffuse"], asked.material.maps["diffuse"])
-    assert tm.fit(btf, "ptm", measure=False).report["geometry"] == "flat"
+    result = tm.fit(relief_scene().btf(), "distribution", **QUICK)
+    assert result.report["geometry"] == "recover" and result.report["figures"]["geometry"]["chosen"] == "recover"
+    truth, found = relief_scene().true_height, result.material.maps["height"].double()
+    both = torch.stack((truth.flatten(), found.flatten()))
+    assert float(torch.corrcoef(both)[0, 1]) > 0.95
+    assert tm.fit(relief_scene().btf(), "ptm", measure=False).report["geometry"] == "flat"
     assert FitConfig(model="distribution").geometry_word == FitConfig(model="neural").geometry_word == "recover"
     assert FitConfig(model="ptm").geometry_word == "flat" and FitConfig(model="auto").geometry_word == "auto"
 
