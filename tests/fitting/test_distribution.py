@@ -341,7 +341,7 @@ def test_a_step_goes_a_third_as_far_in_slopes_and_twice_as_far_in_tables():
     state._solve(raw, parts, tm.Minibatch(1, 0.06), torch.arange(81), math.inf, None)
     longest = {name: float((value - before[name]).abs().max()) for name, value in raw.items()}
     # Adam's first step is its rate wherever there is a gradient, and a run begins with a twentieth of it.
-    expected = {"slopes": 0.0009, "diffuse": 0.003, "specular_mask": 0.003, "specular": 0.006}
+    expected = {"normal": 0.0009, "diffuse": 0.003, "specular_mask": 0.003, "specular": 0.006}
     assert {name: longest[name] for name in expected} == pytest.approx(expected, rel=1e-3)
 
 
