@@ -8,9 +8,11 @@ from typing import Any
 
 import tyro
 
+import torchmat
 from torchmat.cli.blend import Blend
 from torchmat.cli.compare import Compare
 from torchmat.cli.create import Create
+from torchmat.cli.early import check_early
 from torchmat.cli.export import Export
 from torchmat.cli.fit import Fit
 from torchmat.cli.fit_many import FitMany
@@ -32,12 +34,16 @@ COMMANDS: dict[str, Callable[..., Any]] = {
 def main(arguments: list[str] | None = None, command: str | None = None) -> int:
     """Run the command line; `command` fixes the subcommand, as the scripts of the same names do."""
     if command is None:
+        if (sys.argv[1:] if arguments is None else arguments) == ["--version"]:
+            print(f"torchmat {torchmat.__version__}")
+            return 0
         chosen = tyro.extras.subcommand_cli_from_dict(
             COMMANDS, args=arguments, prog="torchmat", description=__doc__, config=_STYLE
         )
     else:
         chosen = tyro.cli(COMMANDS[command], args=arguments, prog=command, config=_STYLE)
     try:
+        check_early(chosen)
         chosen.run()
     except TorchmatError as error:
         print(f"error: {error}", file=sys.stderr)

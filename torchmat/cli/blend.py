@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 import tyro
 
@@ -16,6 +16,8 @@ _GREY = 0.02  # how far the channels of a picture of weights may lie apart, as t
 @dataclass
 class Blend:
     """Make the material between two: everywhere by one weight, or here the one and there the other by a mask."""
+
+    reads: ClassVar = ("first", "second", "mask")
 
     first: Annotated[str, tyro.conf.Positional]
     """Material folder (or .3pm) where the weight is 0; the result has its size, tiling and storage."""

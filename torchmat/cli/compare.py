@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 import tyro
 
@@ -14,6 +14,8 @@ from torchmat.cli.arguments import SAMPLE, DataArguments
 @dataclass
 class Compare:
     """Fit several models to one BTF and print and plot speed against error."""
+
+    reads: ClassVar = ("data",)
 
     data: Annotated[str, tyro.conf.Positional] = SAMPLE
     """Folder or zip of images; `sample` is the one that ships with the package."""
@@ -37,6 +39,13 @@ class Compare:
     seed: int = 0
     """Seed of the split and of the solvers."""
     read: Annotated[DataArguments, tyro.conf.arg(name="")] = field(default_factory=DataArguments)
+
+    def check_names(self) -> None:
+        from torchmat.cli.early import check_model
+
+        for text in self.models:
+            name, _, settings = text.partition(":")
+            check_model(name, [one for one in settings.split(",") if one])
 
     def run(self) -> None:
         from torchmat.report.comparison import default_models, check_target, compare, write_comparison

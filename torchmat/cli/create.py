@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 import tyro
 
@@ -13,6 +13,8 @@ import tyro
 class Create:
     """Make a material without a BTF: of one evenly lit picture, of a folder of PBR textures (ambientCG's names), of a
     measured BRDF, or of photographs of a sphere."""
+
+    reads: ClassVar = ("path",)
 
     path: Annotated[str, tyro.conf.Positional]
     """A picture; a folder of textures: *_Color, *_Displacement, *_NormalGL, *_Roughness ...; a .binary or .bsdf file; or,

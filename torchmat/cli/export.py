@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 import tyro
 
@@ -14,6 +14,8 @@ from torchmat.cli.arguments import check_apart, options_of, provenance_of
 @dataclass
 class Export:
     """Write a material in another form, and say which of its parts come back exactly, nearly, or not at all."""
+
+    reads: ClassVar = ("material",)
 
     material: Annotated[str, tyro.conf.Positional]
     """Material folder, or shading map (.3pm)."""

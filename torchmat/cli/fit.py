@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 import tyro
 
@@ -15,6 +15,8 @@ from torchmat.cli.arguments import SAMPLE, DataArguments
 @dataclass
 class Fit:
     """Fit a material to a BTF and write it with its report and pictures."""
+
+    reads: ClassVar = ("data",)
 
     model: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="MODEL|CONFIG")]
     """Name of a model with its defaults (`torchmat models` lists them; `auto` chooses), or with .toml a config: its path,
@@ -51,6 +53,11 @@ class Fit:
         keys = ("geometry", "seed", "target.psnr", "target.error", "target.bytes", "target.seconds")
         given = {key: getattr(self, key.removeprefix("target.")) for key in keys}
         return [f"{key}={json.dumps(value, ensure_ascii=False)}" for key, value in given.items() if value is not None]
+
+    def check_names(self) -> None:
+        from torchmat.cli.early import check_model
+
+        check_model(self.model, self.set)
 
     def run(self) -> None:
         from torchmat.fitting import fit, load_config

@@ -38,6 +38,12 @@ class FitMany:
     """Write the materials and report.json only."""
     read: Annotated[DataArguments, tyro.conf.arg(name="")] = field(default_factory=DataArguments)
 
+    def check_names(self) -> None:
+        from torchmat.cli.early import check_model
+
+        if self.data:  # else the text is a list of jobs
+            check_model(self.model, self.set)
+
     def run(self) -> None:
         from torchmat.many import check_target, fit_many, summary_table, write_summary
 

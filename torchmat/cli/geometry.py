@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 import tyro
 
@@ -14,6 +14,8 @@ from torchmat.cli.arguments import DataArguments
 @dataclass
 class Geometry:
     """Recover height and normals: from a BTF, from photographs of one view under known lights, or from one picture."""
+
+    reads: ClassVar = ("path", "lights", "ball")
 
     path: Annotated[str, tyro.conf.Positional]
     """BTF or RTI capture, a folder of photographs with --lights or --ball, or one picture."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 import tyro
 
@@ -14,6 +14,8 @@ from torchmat.cli.arguments import SAMPLE, DataArguments
 @dataclass
 class Info:
     """Describe any input: a folder, zip or file of images, a material folder, a shading map, or a measured BRDF."""
+
+    reads: ClassVar = ("path",)
 
     path: Annotated[str, tyro.conf.Positional] = SAMPLE
     """What to describe."""

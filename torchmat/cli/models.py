@@ -15,6 +15,13 @@ class Models:
     name: Annotated[str | None, tyro.conf.Positional] = None
     """One model; left out, all are listed."""
 
+    def check_names(self) -> None:
+        from torchmat.cli.known import OPTIONS
+        from torchmat.errors import check_option
+
+        if self.name is not None:
+            check_option("models", "name", self.name, [name for name in OPTIONS if name != "auto"])
+
     def run(self) -> None:
         from torchmat.fitting.describe import describe_model, describe_models
         from torchmat.report.tables import text_table

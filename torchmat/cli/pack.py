@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 import tyro
 
@@ -14,6 +14,8 @@ from torchmat.cli.export import Export
 @dataclass
 class Pack:
     """Join the maps of a distribution material into few textures for a shader: the same as `export --to packed`."""
+
+    reads: ClassVar = ("material",)
 
     material: Annotated[str, tyro.conf.Positional]
     """Material folder of a distribution material."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, ClassVar
 
 import tyro
 
@@ -14,6 +14,8 @@ from torchmat.cli.arguments import SAMPLE, DataArguments, check_out, names_of, p
 @dataclass
 class Refit:
     """Fit some maps of an edited material anew and keep the others, to the bit, as they were painted."""
+
+    reads: ClassVar = ("material", "data")
 
     material: Annotated[str, tyro.conf.Positional]
     """Material folder, painted over or not."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, ClassVar
 
 import tyro
 
@@ -19,6 +19,8 @@ _SPHERE_REPEAT = 2.0
 @dataclass
 class Render:
     """Show a material, a measured BRDF or a BTF as it was measured on objects: pictures, turntables, light sweeps."""
+
+    reads: ClassVar = ("material", "environment")
 
     material: Annotated[str, tyro.conf.Positional]
     """Material folder, shading map (.3pm), BRDF file (.binary, .bsdf), or a BTF."""
