@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import os
 import subprocess
 import sys
 
@@ -63,3 +64,11 @@ def test_what_is_right_passes(tmp_path):
     with pytest.raises(DataError, match="TOML"):
         (tmp_path / "own.toml").write_text("model = \n")
         check_model(str(tmp_path / "own.toml"))
+
+
+@pytest.mark.parametrize(("given", "spins"), [({}, "1000"), ({"GOMP_SPINCOUNT": "7"}, "7"), ({"OMP_WAIT_POLICY": "ACTIVE"}, "None")])
+def test_idle_threads_of_a_command_give_way_unless_the_user_says_how_they_wait(given, spins):
+    code = "import os; from torchmat.cli import main; main(['--version']); print(os.environ.get('GOMP_SPINCOUNT'))"
+    clean = {name: value for name, value in os.environ.items() if name not in ("GOMP_SPINCOUNT", "OMP_WAIT_POLICY")}
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env={**clean, **given})
+    assert done.stdout.split()[-1] == spins

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import auto
+import busy
 import compare
 import compiled
 import objects
@@ -211,5 +212,5 @@ SUITES = {
     "compiled": compiled.measure, "auto": auto.auto, "scale": scale.scale, "scene": scene.scene,
     "shading_maps": shading_maps.shading_maps,
     "objects": objects.objects, "compare": compare.compare, "solvers": solvers.solvers,
-    "sphere_images": spheres.sphere_images, "sphere_sizes": spheres.sphere_sizes, "sphere_shading": spheres.sphere_shading,
+    "busy": busy.busy, "sphere_images": spheres.sphere_images, "sphere_sizes": spheres.sphere_sizes, "sphere_shading": spheres.sphere_shading,
 }

@@ -45,7 +45,7 @@ def comparisons() -> None:
 def others() -> None:
     """Print every other suite as it is."""
     for name in ("pipeline", "loading", "shading", "large", "start_up", "geometry", "relief", "distribution", "shading_maps",
-                 "sphere_images", "sphere_sizes", "sphere_shading", "objects", "solvers", "compiled", "auto", "scale", "scene"):
+                 "sphere_images", "sphere_sizes", "sphere_shading", "objects", "solvers", "compiled", "auto", "scale", "scene", "busy"):
         # Rows of one suite that measure different things stand in tables of their own.
         for _, alike in groupby(_rows(name), key=tuple):
             rows = list(alike)

@@ -22,6 +22,7 @@ from torchmat.cli.models import Models
 from torchmat.cli.pack import Pack
 from torchmat.cli.refit import Refit
 from torchmat.cli.render import Render
+from torchmat.cli.threads import let_threads_sleep
 from torchmat.errors import TorchmatError
 
 _STYLE = (tyro.conf.FlagCreatePairsOff,)
@@ -33,6 +34,7 @@ COMMANDS: dict[str, Callable[..., Any]] = {
 
 def main(arguments: list[str] | None = None, command: str | None = None) -> int:
     """Run the command line; `command` fixes the subcommand, as the scripts of the same names do."""
+    let_threads_sleep()
     if command is None:
         if (sys.argv[1:] if arguments is None else arguments) == ["--version"]:
             print(f"torchmat {torchmat.__version__}")
