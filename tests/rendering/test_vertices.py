@@ -14,10 +14,16 @@ from torchmat.rendering import vertices
 from torchmat.rendering.mesh import load_mesh
 
 
+def smooth(position, faces, crease: float = 40) -> np.ndarray:
+    """Return the normals [F, 3, xyz] of corners whose numbers tell their places."""
+    normal, rows = vertices.smooth_normals(np.asarray(position, np.float64), faces, faces, math.radians(crease))
+    return normal[rows]
+
+
 @pytest.mark.parametrize("crease", [5, 30, 60, 170])
 def test_smooth_normals_agree_with_the_oracle(crease):
     position, faces, _ = bumpy(seed=crease)
-    found = vertices.smooth_normals(position[faces], faces, math.radians(crease))
+    found = smooth(position, faces, crease)
     assert np.abs(found - oracle.smooth_normals(position, faces, math.radians(crease))).max() < 1e-12
 
 
@@ -43,12 +49,6 @@ def test_an_edge_is_smooth_up_to_the_crease(bend, count, tmp_path):
     assert torch.allclose(mesh.tangent[mesh.faces[2, 1]], slope)
     assert torch.allclose(mesh.tangent[mesh.faces[0, 1]], flat) == (count == 8)
     assert torch.allclose(mesh.tangent[mesh.faces[2, 0]], slope) == (count == 8)
-
-
-def smooth(position, faces) -> np.ndarray:
-    """Return the normals [F, 3, xyz] of corners whose numbers tell their places."""
-    normal, rows = vertices.smooth_normals(np.asarray(position, np.float64), faces, faces, math.radians(40))
-    return normal[rows]
 
 
 def test_triangles_that_disagree_which_side_is_out_are_not_smoothed():

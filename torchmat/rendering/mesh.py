@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 CREASE_DEG = 40.0  # edges sharper than this stay edges in a mesh that has no normals
 _LARGEST = 1e15
 _FAR = 16.0  # sizes of a mesh: from there on float32 loses more than four of its 24 bits
+_COARSE = 1e-4  # of a mesh's size: a file that rounds to more has lost its shape
 _MOST_VANISHED = 1 / 3  # a grid of quads with both poles loses a quarter at 8 x 4
 
 
@@ -139,7 +140,8 @@ def build(triangles: Triangles, uv: str, name: str, where: str) -> Mesh:
     )
     return of_arrays(
         position[faces.reshape(-1)[first]], joined, normal[normal_of.reshape(-1)[first]],
-        coordinates[uv_of.reshape(-1)[first]], tangent, handedness, name, mapping, int((~kept).sum()), origin, triangles.unit,
+        coordinates[uv_of.reshape(-1)[first]], tangent, handedness, name, mapping, int((~kept).sum()), origin,
+        triangles.unit,
     )
 
 
@@ -167,12 +169,13 @@ def _check_kept(triangles: Triangles, kept: np.ndarray, where: str) -> None:
     a, b, c = triangles.faces[~kept].T
     vanished = int(((a != b) & (b != c) & (c != a)).sum())
     if vanished > _MOST_VANISHED * (int(kept.sum()) + vanished):
-        points = triangles.position[triangles.faces[~kept]]
+        points = triangles.position[triangles.faces]
         furthest = float(np.abs(points).max())
         fact = f"{vanished} of {int(kept.sum()) + vanished} have none"
         step = "Check the mesh in its editor: its vertices lie in lines, or on each other."
-        if np.array_equal(points, points.astype(np.float32)) and furthest > 0:
-            step = (f"The file stores numbers such as {furthest:.6g} to about {np.spacing(np.float32(furthest)):.1g}: "
+        coarse = float(np.spacing(np.float32(furthest)))
+        if np.array_equal(points, points.astype(np.float32)) and coarse > _COARSE * np.ptp(points, axis=(0, 1)).max():
+            step = (f"The file stores numbers such as {furthest:.6g} to about {coarse:.1g}: "
                     "move the mesh to the origin in its editor and export it again.")
         raise DataError(message(where, "triangles", "have area", fact, step))
 

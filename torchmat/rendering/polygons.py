@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from collections import deque
+
 import numpy as np
 
 # Of the polygon's area: a triangle below this has turned over, or is a line.
 _NOTHING = 1e-9
+_TURN = 1e-14  # of the square of its size: a corner that bends less is straight
+_LARGEST = 20_000
 _MANY = 24  # reflex corners; for more NumPy's overhead is the smaller part
 _TRIES = 60  # candidates for an ear, times the corners: more have only polygons that cross themselves, or are spirals
 
@@ -49,6 +53,9 @@ def _triangles(position: np.ndarray, rows: np.ndarray) -> np.ndarray:
             left = left[~good]
             if not len(left):
                 return result
+        if size > _LARGEST:
+            # The work grows with the square of the corners; such a polygon is an outline, not a face.
+            raise ValueError(f"a polygon that is not convex has {size} corners, more than {_LARGEST}: triangulate the mesh")
         for number in left:
             result[number] = _ears(_seen_along(points[number], normal[number]), size)
     return result
@@ -79,20 +86,27 @@ def _ears(flat: np.ndarray, size: int) -> list[tuple[int, int, int]]:
         (ax, ay), (bx, by), (cx, cy) = xy[before[corner]], xy[corner], xy[after[corner]]
         return (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
 
-    reflex = {corner for corner in range(size) if bend(corner) <= _NOTHING}
-    triangles, corner, left, since, tries = [], 0, size, 0, _TRIES * size
-    while left > 3 and since <= left and tries > 0:
-        since, tries = since + 1, tries - 1
-        if corner in reflex or not _is_empty(flat, xy, reflex, before[corner], corner, after[corner]):
-            corner = after[corner]
+    reflex = {corner for corner in range(size) if bend(corner) <= _TURN}
+    triangles, there, fresh = [], [True] * size, True
+    waiting, tries = deque(range(size)), _TRIES * size
+    while len(triangles) < size - 3 and tries > 0:
+        if not waiting:
+            if not fresh:
+                break  # it crosses itself
+            # What was no ear may be one now that corners inside of it are gone.
+            waiting, fresh = deque(corner for corner in range(size) if there[corner]), False
+        corner, tries = waiting.popleft(), tries - 1
+        if not there[corner] or corner in reflex:
             continue
         one, other = before[corner], after[corner]
+        if not _is_empty(flat, xy, reflex, one, corner, other):
+            continue
         triangles.append((one, corner, other))
-        after[one], before[other] = other, one
-        left, since = left - 1, 0
+        after[one], before[other], there[corner], fresh = other, one, False, True
         for beside in (one, other):
-            (reflex.add if bend(beside) <= _NOTHING else reflex.discard)(beside)
-        corner = after[other]  # not the next one: ears side by side make slivers
+            (reflex.add if bend(beside) <= _TURN else reflex.discard)(beside)
+        waiting += (one, other)
+    corner = there.index(True)
     second, third = after[corner], after[after[corner]]
     while third != corner:
         triangles.append((corner, second, third))

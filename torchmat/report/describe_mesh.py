@@ -40,8 +40,8 @@ def describe_mesh(path: str | Path) -> str:
         ["mirrored", f"{100 * float((mesh.handedness[mesh.faces[:, 0]] < 0).double().mean()):.4g} % of the triangles"],
         ["normals", _normals(triangles)],
         ["size", _size(mesh)],
-        ["lowest corner", _numbers(low)],
-        ["highest corner", _numbers(high)],
+        ["lowest corner", _numbers(low, mesh)],
+        ["highest corner", _numbers(high, mesh)],
         ["materials", _materials(triangles.materials)],
         ["watertight", _watertight(mesh)],
     ]
@@ -57,8 +57,9 @@ def _mapping(mesh: Mesh) -> str:
     return f"a {projection} projection"
 
 
-def _numbers(values: list[float]) -> str:
-    return ", ".join(f"{value:.9g}" for value in values)
+def _numbers(values: list[float], mesh: Mesh) -> str:
+    digits = 9 if any(mesh.origin) else 6  # what float32 holds, but for what lies far away
+    return ", ".join(f"{value:.{digits}g}" for value in values)
 
 
 def _size(mesh: Mesh) -> str:
@@ -85,4 +86,4 @@ def _watertight(mesh: Mesh) -> str:
     """Return whether every edge has two triangles, one each way round, positions told apart by their bits."""
     first, group = vertices.distinct(*vertices.bits(mesh.position.numpy()))
     count = open_edges(np.asarray(first[group])[mesh.faces.numpy()])
-    return f"no: {count} sides of triangles lie at no other, or at more than one" if count else "yes"
+    return f"no: {count} sides of triangles are open, or meet more than one other" if count else "yes"
