@@ -65,7 +65,7 @@ def test_the_box_projection_by_hand(tmp_path):
 
 def test_no_texture_of_the_box_projection_is_smeared_or_mirrored():
     position, faces, _ = bumpy(amplitude=1.5, seed=4)
-    uv = project("box", position[faces], faces, vertices.face_normals(position[faces]))
+    uv = project("box", position, faces, faces, vertices.face_normals(position[faces]))
     extent = np.ptp(position, axis=0).max()
     for points, texture in zip(position[faces], uv, strict=True):
         along, up = oracle.face_frame(points, texture)
@@ -80,7 +80,7 @@ def test_bumps_between_two_sides_do_not_scatter_the_box_projection():
     position = position @ rise
     flat = vertices.face_normals(position[faces])
     assert 0.3 < (np.abs(flat[:, 1]) > np.abs(flat[:, 2])).mean() < 0.7
-    uv = project("box", position[faces], faces, flat)
+    uv = project("box", position, faces, faces, flat)
     extent, top, low = np.ptp(position, axis=0).max(), position[:, 2].max(), position[:, 1].min()
     from_front = np.isclose(uv[..., 1] * extent, position[faces][..., 1] - low).all(axis=1)
     from_above = np.isclose(uv[..., 1] * extent, top - position[faces][..., 2]).all(axis=1)

@@ -65,12 +65,16 @@ class Fit:
         from torchmat.material_io import check_target
         from torchmat.rendering.scene_file import load_scene
         from torchmat.report import write_fit
+        from torchmat.report.describe_mesh import mesh_line
         from torchmat.report.decisions_page import outcome_text
         from torchmat.report.tables import fit_tables
 
         check_target(self.out)  # before the work, not after it
         config = load_config(self.model, [*self.set, *self._flags()]).read_as(self.read.keywords())
         scenes = [load_scene(path) for path in self.scene]
+        for scene in scenes:
+            if scene.mesh.mapping != "shape":
+                print(f"mesh       {mesh_line(scene.mesh)}")
         btf = self.read.load(self.data, config.data)
         result = fit(btf, config, work=self.work, scene=scenes or None)
         folder = write_fit(btf, result, self.out, pictures=not self.no_pictures)

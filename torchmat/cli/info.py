@@ -13,7 +13,7 @@ from torchmat.cli.arguments import SAMPLE, DataArguments
 
 @dataclass
 class Info:
-    """Describe any input: a folder, zip or file of images, a material folder, a shading map, or a measured BRDF."""
+    """Describe any input: a folder, zip or file of images, a material folder, a shading map, a measured BRDF, or a mesh."""
 
     reads: ClassVar = ("path",)
 
@@ -26,6 +26,7 @@ class Info:
     read: Annotated[DataArguments, tyro.conf.arg(name="")] = field(default_factory=DataArguments)
 
     def run(self) -> None:
+        from torchmat.rendering.mesh_file import is_mesh
         from torchmat.report.describe import describe_brdf, describe_btf, describe_material, is_brdf, is_material
 
         if is_material(self.path):
@@ -33,6 +34,11 @@ class Info:
             return
         if is_brdf(self.path):
             print(describe_brdf(self.path))
+            return
+        if is_mesh(self.path):
+            from torchmat.report.describe_mesh import describe_mesh
+
+            print(describe_mesh(self.path))
             return
         btf = self.read.load(self.path)
         print(describe_btf(btf))

@@ -87,11 +87,14 @@ class Render:
         from torchmat.errors import RangeError, message
         from torchmat.rendering import render
         from torchmat.rendering.files import write_picture
+        from torchmat.report.describe_mesh import mesh_line
 
         if self.mesh or self.light or self.point or self.environment or self.turntable or self.sweep:
             fact, step = "others are given beside it", "Write them into the scene file, or leave --scene out."
             raise RangeError(message("render", "--scene", "bring object and lights", fact, step))
         assert self.scene is not None
+        if scene.mesh.mapping != "shape":
+            print(f"mesh       {mesh_line(scene.mesh)}")
         target = folder / f"render_{self.scene.stem}.png"
         return write_picture(render(shader, scene), target, self.exposure, self.exr)
 
@@ -136,12 +139,15 @@ class Render:
         from torchmat.rendering.files import write_picture
         from torchmat.rendering.mesh import Mesh
         from torchmat.rendering.render import PATCH
+        from torchmat.report.describe_mesh import mesh_line
 
         usual = _SPHERE_REPEAT if mesh == "sphere" else 1.0
         repeat = usual if self.repeat is None else self.repeat
-        if self.turntable or self.sweep:
-            return self._animate(shader, as_mesh(mesh), lights, repeat, stem)
         body: str | Mesh = mesh if mesh == PATCH else as_mesh(mesh)
+        if not isinstance(body, str) and body.mapping != "shape":
+            print(f"mesh       {mesh_line(body)}")
+        if self.turntable or self.sweep:
+            return self._animate(shader, body, lights, repeat, stem)
         camera = None
         if self.field_of_view_deg is not None and not isinstance(body, str):
             camera = Camera.framing(body.centre, body.radius, self.view, math.radians(self.field_of_view_deg))

@@ -13,6 +13,7 @@ from torchmat import colour, safe
 from torchmat.errors import RangeError, ShapeError, check_finite, message
 
 WHITE = (1.0, 1.0, 1.0)
+ORIGIN = (0.0, 0.0, 0.0)
 DEFAULT_LIGHT = (-0.4, 0.5, 0.768)
 _Numbers = Sequence[float] | Tensor
 
@@ -63,7 +64,7 @@ class Directional:
         unit("Directional", "light", self.direction)
         _intensity("Directional", self.intensity)
 
-    def reach(self, position: Tensor) -> tuple[Tensor, Tensor, None]:
+    def reach(self, position: Tensor, origin: _Numbers = ORIGIN) -> tuple[Tensor, Tensor, None]:
         """Return direction [3, 1, 1], intensity [3, 1, 1] and distance (none) as seen from positions [3, 1, P]."""
         dtype = position.dtype
         direction = unit("Directional", "light", self.direction).to(dtype)
@@ -86,10 +87,14 @@ class Point:
         vector("Point", "position", self.position)
         _intensity("Point", self.intensity)
 
-    def reach(self, position: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Return direction [3, 1, P], intensity [3, 1, P] and distance [1, P] as seen from positions [3, 1, P]."""
+    def reach(self, position: Tensor, origin: _Numbers = ORIGIN) -> tuple[Tensor, Tensor, Tensor]:
+        """Return direction [3, 1, P], intensity [3, 1, P] and distance [1, P] as seen from positions [3, 1, P].
+
+        Positions count from `origin` of the scene: far away from 0 they would have few digits left.
+        """
         dtype = position.dtype
-        way = vector("Point", "position", self.position).to(dtype)[:, None, None] - position
+        here = vector("Point", "position", self.position) - vector("Point", "origin", origin)
+        way = here.to(dtype)[:, None, None] - position
         squared = (way * way).sum(dim=0)
         intensity = _intensity("Point", self.intensity).to(dtype)[:, None, None]
         # A surface in the very place of the light has no direction to it, and is left dark.

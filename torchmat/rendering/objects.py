@@ -45,7 +45,7 @@ def reach(visible: Visible, light: Light, shadows: bool) -> tuple[Tensor, Tensor
 
     With `shadows` only those that no other part of the mesh hides from it.
     """
-    direction, intensity, _ = light.reach(visible.position)
+    direction, intensity, _ = light.reach(visible.position, visible.mesh.origin)
     local = _in_frame(visible.frame, direction)
     lit = (visible.view[2, 0] > 0) & (local[2, 0] > 0)
     if shadows:

@@ -37,8 +37,8 @@ def render(
     Args:
         material: a Material, a Brdf, or a RawBtf.
         mesh: "patch" (the flat sample filling the picture, texels as high as wide), "quad", "cube", "sphere", "torus",
-            "teapot", a file that trimesh reads, a Mesh, or a Scene, which holds all that follows and keeps what its camera
-            sees.
+            "teapot", a file (OBJ, glTF, PLY, STL, OFF), a Mesh, or a Scene, which holds all that follows and keeps what its
+            camera sees.
         lights: Directional, Point, or x, y, z of a distant one; they add up.
         view: direction from the object to a far camera that frames it, x, y, z, unless `camera` is given.
         size: (rows, columns) of the picture, or one number for both; of a patch the columns.

@@ -15,8 +15,10 @@ _CLOSE = 0.5
 _ROUNDS = 6
 
 
-def project(kind: str, points: np.ndarray, corner: np.ndarray, flat: np.ndarray) -> np.ndarray:
-    """Return uv [F, 3, 2] for triangles with corners at `points` [F, 3, xyz] and unit normals `flat` [F, 3].
+def project(
+    kind: str, position: np.ndarray, faces: np.ndarray, corner: np.ndarray, flat: np.ndarray
+) -> np.ndarray:
+    """Return uv [F, 3, 2] for triangles `faces` [F, 3], rows of `position` [V, 3], with unit normals `flat` [F, 3].
 
     `corner` [F, 3] are numbers from 0 that are equal where positions are.
     "box": seen along the axis that the triangle's normal is near, six sides, 1 of uv = the largest extent.
@@ -24,13 +26,15 @@ def project(kind: str, points: np.ndarray, corner: np.ndarray, flat: np.ndarray)
     from below to above. "cylindrical": about the upright axis, u a whole number round, so that a tiling texture closes,
     and v in the same measure from the lowest point up.
     """
-    low, high = points.min(axis=(0, 1)), points.max(axis=(0, 1))
+    used = np.zeros(len(position), dtype=bool)
+    used[faces] = True
+    low, high = position[used].min(axis=0), position[used].max(axis=0)
     extent = (high - low).max()
     if kind == "box":
-        return _box(points, _sides(corner, flat), low, high) / extent
+        return _box(position, faces, _sides(corner, flat), low, high) / extent
     if kind == "planar":
-        return (points - low)[..., :2] / extent
-    from_centre = points - (low + high) / 2
+        return ((position - low)[:, :2] / extent)[faces]
+    from_centre = (position - (low + high) / 2)[faces]
     ring = np.hypot(from_centre[..., 0], from_centre[..., 2])
     turns = _turns(from_centre, ring)
     if kind == "spherical":
@@ -40,17 +44,20 @@ def project(kind: str, points: np.ndarray, corner: np.ndarray, flat: np.ndarray)
     repeats = max(1, round(around / extent))
     # A shape without width has no measure round its axis; its height then is the unit.
     per_height = repeats / around if around > 0 else 1 / extent
-    return np.stack((repeats * turns, (points[..., 1] - low[1]) * per_height), axis=-1)
+    return np.stack((repeats * turns, (position[faces, 1] - low[1]) * per_height), axis=-1)
 
 
-def _box(points: np.ndarray, side: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+def _box(
+    position: np.ndarray, faces: np.ndarray, side: np.ndarray, low: np.ndarray, high: np.ndarray
+) -> np.ndarray:
     """Return uv in the mesh's own lengths, each side starting from 0 at its left and lower edge."""
-    result = np.empty((*points.shape[:2], 2))
+    result = np.empty((*faces.shape, 2))
     for number, axes in enumerate(_SIDES):
-        chosen = side == number
+        chosen = np.flatnonzero(side == number)
+        rows = faces[chosen]
         for column, (axis, sign) in enumerate(axes):
-            along = points[chosen][..., axis]
-            result[chosen, :, column] = along - low[axis] if sign > 0 else high[axis] - along
+            along = position[:, axis] - low[axis] if sign > 0 else high[axis] - position[:, axis]
+            result[chosen, :, column] = along[rows]
     return result
 
 
@@ -63,14 +70,26 @@ def _sides(corner: np.ndarray, flat: np.ndarray) -> np.ndarray:
     component = np.stack((flat, -flat), axis=-1).reshape(-1, 6)
     side = component.argmax(axis=1)
     largest = component.max(axis=1)
-    close = np.flatnonzero((component > _CLOSE * largest[:, None]).sum(axis=1) > 1)
-    near = component[close] > _CLOSE * largest[close, None]
-    points = int(corner.max()) + 1
-    for _ in range(_ROUNDS if len(close) else 0):
-        votes = np.bincount((corner * 6 + side[:, None]).reshape(-1), minlength=6 * points).reshape(points, 6)
-        a, b, c = corner[close].T
-        about = votes[a] + votes[b] + votes[c] + component[close]
-        side[close] = np.where(near, about, -np.inf).argmax(axis=1)
+    near = component > _CLOSE * largest[:, None]
+    close = np.flatnonzero(near.sum(axis=1) > 1)
+    if not len(close):
+        return side
+    near, component = near[close], component[close]
+    places = corner[close]
+    votes = np.bincount((corner * 6 + side[:, None]).reshape(-1), minlength=6 * (int(corner.max()) + 1)).reshape(-1, 6)
+    for _ in range(_ROUNDS):
+        about = component.copy()
+        for k in range(3):
+            about += votes[places[:, k]]
+        about[~near] = -np.inf
+        before, after = side[close], about.argmax(axis=1)
+        moved = np.flatnonzero(before != after)
+        if not len(moved):
+            break
+        for k in range(3):
+            np.subtract.at(votes.reshape(-1), places[moved, k] * 6 + before[moved], 1)
+            np.add.at(votes.reshape(-1), places[moved, k] * 6 + after[moved], 1)
+        side[close] = after
     return side
 
 

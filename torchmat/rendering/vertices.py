@@ -1,14 +1,21 @@
 """Normals and tangents at the corners of triangles, and corners that agree in everything joined into vertices.
 
-Arrays are NumPy's, float64. A corner is one of the three of a triangle; [F, 3, ...] holds something for each.
+Arrays are NumPy's, float64. A corner is one of the three of a triangle; [F, 3, ...] holds something for each. What is
+made of millions of triangles is made block by block, and sorted only where corners of one place differ: time and memory
+grow with the mesh, and little more than the result is held.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
+
 import numpy as np
 import torch
+from scipy import sparse
+from scipy.sparse import csgraph
 
 from torchmat import frames
+from torchmat.rendering.edges import edge_pairs
 
 # Triangles flatter than this, height over longest edge, are below float32's resolution: no ray meets one.
 _FLAT = 1e-7
@@ -16,6 +23,7 @@ _FLAT = 1e-7
 _CANCELS = 1e-4
 # A unit tangent that leaves less than this across the normal is along it; the rest is rounding.
 _ALONG = 1e-6
+_BLOCK = 1 << 14  # triangles: what is in hand then fits into the processor's cache
 _MULTIPLIER, _SHIFT = np.uint64(0x9E3779B97F4A7C15), np.uint64(29)  # 2^64 over the golden ratio: spreads bits well
 
 
@@ -36,6 +44,32 @@ def distinct(*columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     group = np.empty(len(order), dtype=np.int64)
     group[order] = np.cumsum(new) - 1
     return order[new], group
+
+
+def alike(place: np.ndarray, keys: Sequence[tuple[np.ndarray, np.ndarray]]) -> tuple[np.ndarray, int]:
+    """Return numbers [n] that are equal where `place` [n] and every key are, and their count; some may be unused.
+
+    A key (values, rows) is ``values[rows]``, rows [n]. Places are numbers from 0. All that agree with one corner of
+    their place, as most do, take the number of the place; the others alone are sorted.
+    """
+    count = int(place.max()) + 1
+    chosen = np.zeros(count, dtype=np.int64)
+    chosen[place] = np.arange(len(place))
+    same = np.ones(len(place), dtype=bool)
+    for values, rows in keys:
+        same &= values[rows] == values[rows[chosen]][place]
+    numbers = place.astype(np.int64)
+    others = np.flatnonzero(~same)
+    if len(others):
+        found, group = distinct(place[others], *(values[rows[others]] for values, rows in keys))
+        numbers[others] = count + group
+        count += len(found)
+    return numbers, count
+
+
+def blocks(count: int) -> Iterator[slice]:
+    """Return slices that cover `count` triangles."""
+    return (slice(start, min(start + _BLOCK, count)) for start in range(0, count, _BLOCK))
 
 
 def _changes(ordered: np.ndarray) -> np.ndarray:
@@ -88,61 +122,69 @@ def corner_angles(points: np.ndarray) -> np.ndarray:
     return np.arccos(np.clip(dot(ahead, back), -1, 1))
 
 
-def _linked(count: int, one: np.ndarray, other: np.ndarray) -> np.ndarray:
-    """Return for each of `count` things the lowest number among those that chains of links join it to."""
-    label = np.arange(count)
-    while True:
-        low = np.minimum(label[one], label[other])
-        if np.array_equal(label[one], low) and np.array_equal(label[other], low):
-            return label
-        np.minimum.at(label, label[one], low)
-        np.minimum.at(label, label[other], low)
-        label = label[label]
+def triangles_with_area(position: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Tell which triangles, bool [F], are more than a line or a point; `faces` [F, 3] are rows of `position`."""
+    result = np.empty(len(faces), dtype=bool)
+    for block in blocks(len(faces)):
+        result[block] = has_area(position[faces[block]])
+    return result
 
 
-def _smooth_links(corner: np.ndarray, normal: np.ndarray, crease: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return pairs of corners (numbers into F * 3) that lie at one end of an edge across which the surface is smooth.
+def flat_normals(position: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Return unit normals [F, 3] of triangles with area."""
+    result = np.empty((len(faces), 3))
+    for block in blocks(len(faces)):
+        result[block] = face_normals(position[faces[block]])
+    return result
+
+
+def _after(half_edge: np.ndarray) -> np.ndarray:
+    """Return the corners that half-edges end in."""
+    return np.where(half_edge % 3 == 2, half_edge - 2, half_edge + 1)
+
+
+def _fans(corner: np.ndarray, normal: np.ndarray, crease: float) -> tuple[np.ndarray, int]:
+    """Return a number [F * 3] for each corner, equal where smooth edges join the triangles about its point; the count.
 
     An edge is smooth where exactly two triangles meet in it, one way round each, at an angle of at most `crease`.
     """
-    count = len(corner)
-    start, end = np.arange(3 * count), np.arange(3 * count).reshape(-1, 3)[:, [1, 2, 0]].reshape(-1)
+    first, second, _ = edge_pairs(corner)
     points = corner.reshape(-1)
-    low, high = np.minimum(points[start], points[end]), np.maximum(points[start], points[end])
-    key = low * (int(points.max()) + 1) + high
-    order = np.argsort(key, kind="stable")
-    ordered = key[order]
-    same = ordered[1:] == ordered[:-1]
-    alone = np.ones(len(same), dtype=bool)
-    alone[1:] &= ~same[:-1]
-    alone[:-1] &= ~same[1:]
-    first, second = order[:-1][same & alone], order[1:][same & alone]
-    cosine = dot(normal[first // 3], normal[second // 3])
-    smooth = (cosine >= np.cos(crease)) & (points[start[first]] == points[end[second]])
+    smooth = points[first] != points[second]
+    limit = np.cos(crease)
+    for block in blocks(len(first)):
+        smooth[block] &= dot(normal[first[block] // 3], normal[second[block] // 3]) >= limit
     first, second = first[smooth], second[smooth]
-    return np.concatenate((start[first], end[first])), np.concatenate((end[second], start[second]))
+    one, other = np.concatenate((first, _after(first))), np.concatenate((_after(second), second))
+    links = sparse.coo_array((np.ones(len(one), dtype=np.int8), (one, other)), shape=(len(points), len(points)))
+    count, fan = csgraph.connected_components(links, directed=False)
+    return fan, count
 
 
-def smooth_normals(points: np.ndarray, corner: np.ndarray, crease: float) -> np.ndarray:
-    """Return unit normals [F, 3, xyz] at the corners of triangles, smooth but for edges above `crease` (radians).
+def smooth_normals(
+    position: np.ndarray, faces: np.ndarray, corner: np.ndarray, crease: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return unit normals [N, 3], smooth but for edges above `crease` (radians), and the row [F, 3] of each corner.
 
-    `points` [F, 3, xyz] are the corners' positions, `corner` [F, 3] numbers that are equal where positions are. A
+    `faces` [F, 3] are rows of `position` [V, 3], `corner` [F, 3] numbers that are equal where positions are. A
     normal is the mean, weighted by the angle at the corner (Thuermer and Wuethrich 1998), over the fan of triangles
     that smooth edges connect about the point: so it is one and the same on both sides of a smooth edge.
     """
-    normal = face_normals(points)
-    fan = _linked(3 * len(points), *_smooth_links(corner, normal, crease))
-    angle = corner_angles(points)
-    total = _sums(fan, (angle[..., None] * normal[:, None]).reshape(-1, 3))[fan]
+    flat = flat_normals(position, faces)
+    fan, count = _fans(corner, flat, crease)
+    total, angles = np.zeros((3, count)), np.zeros(count)
+    rows = fan.reshape(-1, 3)
+    for block in blocks(len(faces)):
+        angle, at = corner_angles(position[faces[block]]), rows[block].reshape(-1)
+        np.add.at(angles, at, angle.reshape(-1))
+        for axis in range(3):
+            np.add.at(total[axis], at, (angle * flat[block, axis, None]).reshape(-1))
+    total = total.T
     # A fan that winds back on itself may sum to nothing; then each triangle keeps its own.
-    lost = np.sqrt(dot(total, total)) <= _CANCELS * np.bincount(fan, angle.reshape(-1))[fan]
-    total[lost] = np.repeat(normal, 3, axis=0)[lost]
-    return unit(total).reshape(points.shape)
-
-
-def _sums(group: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Return the sum of the rows of `values` [n, 3] in each group."""
-    return np.stack([np.bincount(group, column) for column in values.T], axis=-1)
+    lost = (np.sqrt(dot(total, total)) <= _CANCELS * angles)[rows]
+    rows = rows.astype(np.int64)
+    rows[lost] = count + np.arange(int(lost.sum()))
+    return unit(np.concatenate((total, flat[np.nonzero(lost)[0]]))), rows
 
 
 def _across(vector: np.ndarray, normal: np.ndarray) -> np.ndarray:
@@ -156,38 +198,71 @@ def fallback_tangent(normal: np.ndarray) -> np.ndarray:
     return _across(unit(frames.tangent_frame(torch.from_numpy(normal), dim=-1)[0].numpy()), normal)
 
 
-def _face_tangents(points: np.ndarray, uv: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return unit dP/du [F, 3], and the side [F] of the texture that shows: 1, -1 mirrored, 0 where uv have no area."""
+def _side(uv: np.ndarray) -> np.ndarray:
+    """Return the side [F] of the texture that triangles [F, 3, uv] show: 1, -1 mirrored, 0 where uv have no area."""
+    step = uv[:, 1:] - uv[:, :1]
+    return np.sign(step[:, 0, 0] * step[:, 1, 1] - step[:, 0, 1] * step[:, 1, 0]) * has_area(uv)
+
+
+def _along(points: np.ndarray, uv: np.ndarray, side: np.ndarray) -> np.ndarray:
+    """Return unit dP/du [F, 3] of triangles."""
     edge, step = points[:, 1:] - points[:, :1], uv[:, 1:] - uv[:, :1]
-    side = np.sign(step[:, 0, 0] * step[:, 1, 1] - step[:, 0, 1] * step[:, 1, 0]) * has_area(uv)
-    along = edge[:, 0] * step[:, 1, 1, None] - edge[:, 1] * step[:, 0, 1, None]
-    return unit(along * side[:, None]), side
+    return unit((edge[:, 0] * step[:, 1, 1, None] - edge[:, 1] * step[:, 0, 1, None]) * side[:, None])
 
 
 def join(
-    points: np.ndarray, corner: np.ndarray, normal: np.ndarray, uv: np.ndarray
+    position: np.ndarray, faces: np.ndarray, corner: np.ndarray, normal: np.ndarray, normal_of: np.ndarray,
+    uv: np.ndarray, uv_of: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Return (first, faces, tangent, handedness): corners that agree joined into V vertices, with tangents.
 
-    `points`, `normal` [F, 3, xyz], `uv` [F, 3, 2], `corner` [F, 3] as in `smooth_normals`. `first` [V] is a corner
-    (into F * 3) of each vertex, `faces` [F, 3] their numbers, `tangent` [V, 3], `handedness` [V].
+    `faces`, `normal_of` and `uv_of` [F, 3] are the rows that corners take of `position`, `normal` [n, 3] and `uv`
+    [n, 2]; `corner` [F, 3] as in `smooth_normals`. `first` [V] is a corner (into F * 3) of each vertex, `faces` [F, 3]
+    their numbers, `tangent` [V, 3], `handedness` [V].
 
     Section 4.1 of the thesis: tangents of faces are summed only where position, normal and texture coordinate are
     shared. We add that the texture must not be mirrored between them, and weigh each, laid into the plane of the
     normal, by the angle at its corner. Where no face has a direction, or they cancel, `fallback_tangent` stands in.
     """
-    along, side = _face_tangents(points, uv)
-    alike = [corner.reshape(-1), *bits(normal.reshape(-1, 3)), *bits(uv.reshape(-1, 2))]
-    hand = np.repeat(side, 3).astype(np.int64)
-    group = distinct(*alike)[1]
-    # A triangle without texture area joins the vertices that are there: mirrored ones where there are no others.
-    mirrored = ~(np.bincount(group, hand > 0) > 0) & (np.bincount(group, hand < 0) > 0)
-    joins = np.where(mirrored[group].reshape(-1, 3).any(axis=1), -1, 1)
-    hand = np.where(hand == 0, np.repeat(joins, 3), hand)
-    first, vertex = distinct(group, hand)
-    at = normal.reshape(-1, 3)
-    angle = corner_angles(points).reshape(-1)
-    total = _sums(vertex, angle[:, None] * _across(np.repeat(along, 3, axis=0), at))
-    lost = np.sqrt(dot(total, total)) <= _CANCELS * np.bincount(vertex, angle)
-    total[lost] = fallback_tangent(at[first[lost]])
-    return first, vertex.reshape(-1, 3), _across(unit(total), at[first]), hand[first].astype(np.float64)
+    side = np.empty(len(faces))
+    for block in blocks(len(faces)):
+        side[block] = _side(uv[uv_of[block]])
+    keys = [(column, rows.reshape(-1)) for table, rows in ((normal, normal_of), (uv, uv_of)) for column in bits(table)]
+    group, count = alike(corner.reshape(-1), keys)
+    del keys
+    hand = np.repeat(side.astype(np.int8), 3)
+    if not (hand == 1).all():
+        # A triangle without texture area joins the vertices that are there: mirrored ones where there are no others.
+        kinds = np.zeros((2, count), dtype=bool)
+        kinds[0, group[hand > 0]] = kinds[1, group[hand < 0]] = True
+        mirrored = ~kinds[0] & kinds[1]
+        joins = np.where(mirrored[group].reshape(-1, 3).any(axis=1), -1, 1).astype(np.int8)
+        hand = np.where(hand == 0, np.repeat(joins, 3), hand)
+        group, count = alike(group, [(hand, np.arange(len(hand)))])
+    first = np.full(count, -1)
+    first[group] = np.arange(len(group))
+    used = first >= 0
+    vertex = (np.cumsum(used) - 1)[group].reshape(-1, 3)
+    first = first[used]
+    at = normal[normal_of.reshape(-1)[first]]
+    tangent = _tangents(position, faces, vertex, at, uv, uv_of, side)
+    return first, vertex, tangent, hand[first].astype(np.float64)
+
+
+def _tangents(
+    position: np.ndarray, faces: np.ndarray, vertex: np.ndarray, at: np.ndarray, uv: np.ndarray, uv_of: np.ndarray,
+    side: np.ndarray,
+) -> np.ndarray:
+    """Return the tangents [V, 3] of vertices with unit normals `at` [V, 3]."""
+    total, angles = np.zeros((3, len(at))), np.zeros(len(at))
+    for block in blocks(len(faces)):
+        points, row = position[faces[block]], vertex[block].reshape(-1)
+        angle = corner_angles(points).reshape(-1)
+        along = _across(np.repeat(_along(points, uv[uv_of[block]], side[block]), 3, axis=0), at[row])
+        np.add.at(angles, row, angle)
+        for axis in range(3):
+            np.add.at(total[axis], row, angle * along[:, axis])
+    total = total.T
+    lost = np.sqrt(dot(total, total)) <= _CANCELS * angles
+    total[lost] = fallback_tangent(at[lost])
+    return _across(unit(total), at)

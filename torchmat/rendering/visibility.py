@@ -29,7 +29,7 @@ class Visible:
     """The points of a mesh that a camera's rays meet, as planes of height 1 and width P.
 
     `pixel` [P] is where in the picture of `size` (rows, columns), row by row, each is seen, and `weight` [P] the share of
-    the pixel that it stands for. `position` [3, 1, P] is in the scene's frame; `frame` [3, 3, 1, P] holds tangent,
+    the pixel that it stands for. `position` [3, 1, P] counts from the mesh's origin; `frame` [3, 3, 1, P] holds tangent,
     bitangent and normal as rows; `view` [3, 1, P] is the direction to the camera in that frame. `uv` [2, 1, P] counts
     textures, `footprint` [P] is how many of them lie across a pixel, where it is longest. `triangle` [P] of the mesh
     holds the point, `share` [3, P] is what its corners have of it.
@@ -57,7 +57,7 @@ class Visible:
     def reached_by(self, light: Light, which: Tensor) -> Tensor:
         """Return, as bool, which of the points numbered `which`, all facing a light, no part of the mesh hides."""
         start = self._shadow_starts[which]
-        direction, _, distance = light.reach(start.T[:, None])
+        direction, _, distance = light.reach(start.T[:, None], self.mesh.origin)
         found = first_hits(self.mesh, start, direction[:, 0].T.expand(len(start), 3))
         reached = torch.ones(len(start), dtype=torch.bool)
         # What touches a point light does not hide it.
@@ -77,7 +77,7 @@ class Visible:
         point = self.position[:, 0].double().T
         below = ((point[:, None] - self.mesh.position[corner].double()) * normal).sum(dim=2).clamp(max=0)
         rise = ((-below * self.share.double().T)[:, :, None] * normal).sum(dim=1)
-        lift = _LIFT * self.mesh.radius + _ROUNDING * float(self.mesh.bounds.abs().max())
+        lift = _LIFT * self.mesh.radius + _ROUNDING * float(self.mesh.position.abs().max())
         return point + rise + lift * self.frame[2, :, 0].double().T
 
 
@@ -97,12 +97,15 @@ def _dot(one: Tensor, other: Tensor) -> Tensor:
 
 
 def first_hits(mesh: Mesh, origin: Tensor, direction: Tensor) -> Hits:
-    """Return what rays from `origin` along `direction` [P, 3], unit, float64, meet first (Embree, through trimesh)."""
+    """Return what rays from `origin` along `direction` [P, 3], unit, float64, meet first (Embree, through trimesh).
+
+    `origin` counts from the mesh's.
+    """
     if not len(origin):
         empty = origin.new_zeros(0)
         return Hits(empty.long(), empty.long(), empty, origin)
     # Embree has 24 bits, so the empty way to the mesh is gone before: from afar rays slip through between triangles.
-    ahead = _dot(mesh.centre.double() - origin, direction).sub_(1.01 * mesh.radius).clamp_(min=0)
+    ahead = _dot(mesh.centre - mesh.offset - origin, direction).sub_(1.01 * mesh.radius).clamp_(min=0)
     origin = torch.addcmul(origin, ahead[:, None], direction)
     triangle = torch.from_numpy(mesh.trimesh.ray.intersects_first(origin.numpy(), direction.contiguous().numpy())).long()
     ray = (triangle >= 0).nonzero()[:, 0]
@@ -130,7 +133,7 @@ def winding_number(mesh: Mesh, point: Tensor) -> float:
     in front of an open mesh, or inside of one whose triangles face inward. A triangle in whose plane the point lies
     counts 0.
     """
-    corner = mesh.position.double()[mesh.faces] - point.double()
+    corner = mesh.position.double()[mesh.faces] - (point.double() - mesh.offset)
     a, b, c = corner.unbind(dim=1)
     la, lb, lc = corner.norm(dim=2).unbind(dim=1)
     volume = (a * torch.linalg.cross(b, c)).sum(dim=1)
@@ -144,7 +147,7 @@ def check_outside(mesh: Mesh, name: str, position: Sequence[float] | Tensor) -> 
     Inside of a mesh that faces inward, a room, all of it is seen.
     """
     place = torch.as_tensor(position, dtype=torch.float64)
-    if float((place - mesh.centre.double()).norm()) > mesh.radius:
+    if float((place - mesh.centre).norm()) > mesh.radius:
         return
     if winding_number(mesh, place) > _INSIDE:
         fact = f"it stands at {tuple(round(float(k), 6) for k in position)}, inside"
@@ -217,7 +220,8 @@ class _Met:
 
 
 def _meet(mesh: Mesh, rays: Rays, side: int, repeat: float, dtype: torch.dtype) -> _Met:
-    which, triangle, distance, share = first_hits(mesh, rays.origin, rays.direction)
+    origin = rays.origin - mesh.offset
+    which, triangle, distance, share = first_hits(mesh, origin, rays.direction)
     share, corner = share.to(dtype), mesh.faces[triangle]
 
     def between(values: Tensor) -> Tensor:
@@ -226,10 +230,10 @@ def _meet(mesh: Mesh, rays: Rays, side: int, repeat: float, dtype: torch.dtype) 
     frame = _frames(between(mesh.normal), between(mesh.tangent), between(mesh.handedness[:, None]))
     view = -rays.direction[which].T[:, None].to(dtype)
     local = (frame * view).sum(dim=1)
-    position = (rays.origin[which] + rays.direction[which] * distance[:, None]).T[:, None].to(dtype)
+    position = (origin[which] + rays.direction[which] * distance[:, None]).T[:, None].to(dtype)
     width = (rays.width_at_origin + rays.width_per_distance * distance).to(dtype) / side
     # A pixel covers the longer a stretch of the surface the more obliquely it is seen; past 20 times as long it stays so.
-    footprint = width * repeat * _textures_per_length(mesh).to(dtype)[triangle] / local[2, 0].clamp(min=0.05)
+    footprint = width * repeat * _textures_per_length(mesh, triangle).to(dtype) / local[2, 0].clamp(min=0.05)
     return _Met(which, position, frame, local, between(mesh.uv) * repeat, footprint, triangle, share.T)
 
 
@@ -244,9 +248,10 @@ def _frames(normal: Tensor, tangent: Tensor, handedness: Tensor) -> Tensor:
     return torch.stack((tangent, bitangent, normal))
 
 
-def _textures_per_length(mesh: Mesh) -> Tensor:
-    """Return how many textures lie along one unit of length on each triangle [F], from its areas."""
-    corner, uv = mesh.position.double()[mesh.faces], mesh.uv.double()[mesh.faces]
+def _textures_per_length(mesh: Mesh, triangle: Tensor) -> Tensor:
+    """Return how many textures lie along one unit of length on each of some triangles [P], from their areas."""
+    rows = mesh.faces[triangle]
+    corner, uv = mesh.position[rows].double(), mesh.uv[rows].double()
     area = torch.linalg.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]).norm(dim=1)
     first, second = uv[:, 1] - uv[:, 0], uv[:, 2] - uv[:, 0]
     across = (first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]).abs()
