@@ -98,7 +98,7 @@ class Normaliser:
         if self.options.invalid == "error" and unmarked.any():
             row, column = np.argwhere(unmarked)[0] + [axis.start for axis in self.window]
             fact = f"{int(unmarked.sum())} texels are NaN or Inf, first at row {row}, column {column}"
-            step = "Repair the image, or pass invalid='mask' to give those texels no weight."
+            step = "Repair the image, or pass invalid='mask' (--invalid mask) to give those texels no weight."
             raise DataError(message(where, "the image", "be finite", fact, step))
         flags[bad] = INVALID
         return np.where(bad, np.zeros((), dtype=codes.dtype), codes)
