@@ -260,6 +260,20 @@ def read_light_table(
     return parse_lights(str(path), read_text(path, "the lights"), known, images)
 
 
+def read_lights(path: str | Path, images: int) -> Tensor:
+    """Return unit directions [n, 3], float32, of the lights of so many `images`, from a table in any form.
+
+    Raises DataError, which names the file, when it cannot be read, holds another number of lights, or one of length 0.
+    """
+    table = read_light_table(path, images=images)
+    largest = table.light.abs().amax(dim=1, keepdim=True)
+    if len(table.light) != images or not bool((largest > 0).all()):
+        fact = f"there are {len(table.light)} for {images} photographs, {int((largest == 0).sum())} of length 0"
+        raise DataError(message(str(path), "the table", "hold x y z for each photograph", fact, _WAYS))
+    scaled = table.light / largest  # or squares of positions far away would leave the range of numbers
+    return (scaled / scaled.norm(dim=1, keepdim=True)).float()
+
+
 def lp_text(files: Sequence[str], light: Tensor) -> str:
     """Return the text of an ``.lp`` file: the number of photographs, then the name and the light [n, 3] of each."""
     lines = [f"{name} {x:.7f} {y:.7f} {z:.7f}" for name, (x, y, z) in zip(files, light.double().tolist(), strict=True)]

@@ -13,6 +13,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from torchmat.btf.light_table import parse_intensities
 from torchmat.btf.listing import Listing, is_image
 from torchmat.btf.lit import KIND
 from torchmat.btf.lp import RTI
@@ -93,13 +94,13 @@ def reading_key(source: File | Folder | Zip, kind: str | None) -> tuple[object, 
 
 def read_listing(
     source: File | Folder | Zip, kind: str | None, duplicates: str, normalise: bool, skip_bad_lights: bool = False,
-    lister: Callable[[Folder | Zip], Listing] | None = None,
+    lister: Callable[[Folder | Zip], Listing] | None = None, intensities: tuple[str, str] | None = None,
 ) -> Listing:
     """Return the samples of a source with unit directions, checked; errors name the file.
 
     `skip_bad_lights` leaves out, and counts in the notes, what would else be refused: lights below the surface or without
     a direction, and lines whose photograph is not there. `lister` reads photographs with a table that lies elsewhere, in
-    place of the reader of `kind`.
+    place of the reader of `kind`; `intensities` are the name and the text of a file of the lights' intensities.
     """
     reader = READERS[KIND] if lister else READERS[kind] if kind else find_reader(source)
     with reader.at_work(source):
@@ -107,6 +108,9 @@ def read_listing(
     listing = _well_formed(source, reader, listing)
     if listing.faults and not skip_bad_lights:
         raise DataError(listing.faults[0])
+    if intensities:
+        intensity = parse_intensities(*intensities, len(listing.files)).expand(-1, 3)
+        listing = replace(listing, intensity=intensity, notes=(*listing.notes, f"intensities are those of {intensities[0]}"))
     notes = [f"{len(listing.faults)} lines of the table are skipped, first: {listing.faults[0]}"] if listing.faults else []
     if skip_bad_lights:
         listing, skipped = _without_bad_lights(source, listing)

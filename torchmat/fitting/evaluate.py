@@ -89,7 +89,7 @@ def sample_errors(
         rows = indices[part]
         prediction = predict(material, btf, rows)
         target = btf.images(rows, prediction.dtype)
-        clipped = btf.clipped(rows) & (target >= btf.clip_level)
+        clipped = btf.saturated(rows, target)
         errors.add(prediction, target, btf.valid(rows), clipped, looked_at[part])
     return errors
 
