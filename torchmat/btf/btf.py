@@ -193,6 +193,8 @@ class Btf:
         part = copy.copy(self)
         part._store = self._store.picked(rows)
         part.light, part.view = self.light[rows], self.view[rows]
+        if len(self.source.files) == len(self):
+            part.source = replace(self.source, files=tuple(self.source.files[row] for row in rows))
         part.intensity = None if self.intensity is None else self.intensity[rows]
         kept, part.light_index = self.light_index[rows].unique(return_inverse=True)
         part.lights = self.lights[kept]

@@ -43,7 +43,7 @@ class Lambert(NamedTuple):
 
     def warnings(self) -> list[str]:
         """Return what the residuals say against the lights, their intensities, or the encoding."""
-        found, best = [], min(self.residual, *filter(None, (self.estimated, self.residual)))
+        found, best = [], self.residual if self.estimated is None else min(self.residual, self.estimated)
         for other, residual in self.others.items():
             if residual < _BETTER * best:
                 found.append(
@@ -55,7 +55,7 @@ class Lambert(NamedTuple):
                 f"the lights seem not to be equally bright: with intensities that fit best the Lambert residual falls from "
                 f"{self.residual:.3f} to {best:.3f}. Give --intensities FILE, or --intensities estimate (intensities=\"estimate\")"
             )
-        least = min(best, *self.others.values(), best)
+        least = min((best, *self.others.values()))
         if least > WRONG or least > _NO_BETTER * self.shuffled:
             found.append(
                 f"the lights hardly explain the photographs (Lambert residual {self.residual:.3f}, {self.shuffled:.3f} with lights dealt "
@@ -63,9 +63,13 @@ class Lambert(NamedTuple):
             )
         return found
 
+    def with_intensities(self, after: Lambert) -> Lambert:
+        """Return the figures of the same capture `after` it was divided by estimated intensities."""
+        return after._replace(others=after.others or self.others)
+
     def report(self) -> dict[str, Any]:
         """Return the figures, and the warnings, for a report."""
-        return {**self._asdict(), "warnings": self.warnings()}
+        return {**self._asdict(), "meaning": self.sentence(), "warnings": self.warnings()}
 
 
 class _Sample(NamedTuple):

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import PurePosixPath
+from typing import TYPE_CHECKING
 
 import torch
 
@@ -12,6 +13,9 @@ from torchmat.btf.light_table import LightTable, parse_lights
 from torchmat.btf.listing import FileNames, Listing, is_image, natural, read_text
 from torchmat.btf.source import Folder, Zip
 from torchmat.errors import DataError, message
+
+if TYPE_CHECKING:
+    from torchmat.btf.btf import Btf
 
 KIND = "rti"
 NAMES_FILE = "filenames.txt"
@@ -94,3 +98,10 @@ def _unlisted(source: Folder | Zip, files: Sequence[str]) -> tuple[str, ...]:
 def _listing(files: Sequence[str], table: LightTable, notes: tuple[str, ...], faults: tuple[str, ...] = ()) -> Listing:
     view = torch.tensor([[0.0, 0.0, 1.0]], dtype=torch.float64).repeat(len(files), 1)
     return Listing(KIND, tuple(files), table.light, view, table.intensity, (*table.notes, *notes), faults)
+
+
+def paired_lights(btf: Btf) -> dict[str, list[float]]:
+    """Return x, y, z of the light of each photograph of one view, by its file; nothing of several views."""
+    if len(btf.views) > 1 or len(btf.source.files) != len(btf):
+        return {}
+    return {file: [round(x, 6) for x in light] for file, light in zip(btf.source.files, btf.light.tolist(), strict=True)}

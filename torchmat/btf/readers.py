@@ -211,7 +211,7 @@ def _unit(source: File | Folder | Zip, listing: Listing, which: str, normalise: 
     """Return directions of length 1, and notes on those that were brought to it."""
     directions: Tensor = getattr(listing, which)
     largest = directions.abs().amax(dim=1, keepdim=True)  # or squares of positions far away would leave the range of numbers
-    length = (directions / largest).norm(dim=1, keepdim=True) * largest
+    length = (directions / largest).nan_to_num(0.0, 0.0, 0.0).norm(dim=1, keepdim=True) * largest
     none = (largest == 0) | ~torch.isfinite(largest)
     bad = none if normalise else none | ((length - 1).abs() > _ROUNDED)
     if bool(bad.any()):

@@ -49,12 +49,16 @@ class Compare:
 
     def run(self) -> None:
         from torchmat.report.comparison import default_models, check_target, compare, write_comparison
+        from torchmat.btf.lambert import lambert_of
+        from torchmat.report.lights import lambert_text
         from torchmat.report.tables import comparison_table
 
         out = self.out
         if out is not None:
             check_target(out)
         btf = self.read.load(self.data)
+        for line in lambert_text(lambert_of(btf)):
+            print(line)
         title = f"Models on {Path(self.data).name}"
         keep = None if out is None else lambda rows: write_comparison(rows, out, title, plots=False)
         rows = compare(

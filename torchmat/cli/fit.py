@@ -80,6 +80,8 @@ class Fit:
             print()
         print(fit_tables(result.report))
         print()
+        for text in (result.report["lambert"] or {}).get("warnings", ()):
+            print(f"warning    {text}")
         print(f"material   {folder}")
         if choice:
             print(f"decisions  {folder / 'decisions.txt'}")

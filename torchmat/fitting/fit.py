@@ -14,6 +14,8 @@ import torch
 from torch import Tensor
 
 from torchmat.btf import Btf, Split, split_samples
+from torchmat.btf.lambert import lambert_of
+from torchmat.btf.lit import paired_lights
 from torchmat.errors import RangeError, message
 from torchmat.fitting.choice.choose import fit_auto
 from torchmat.fitting.config import FitConfig, load_config
@@ -148,7 +150,9 @@ def fit(
     errors, held_out = evaluate_parts(btf, fitted.material, split, progress) if measure else (nothing_measured(), None)
     used = task.options if fitted.options is None else fitted.options
     ways = {"options": described(used), "geometry": task.geometry}
+    figures = lambert_of(btf) if measure else None
     report = {**_described(btf, config, fitted), **ways, "fit_seconds": seconds, **errors, "curve": watch.history}
+    report["lambert"] = figures and figures.report()
     if task.scene is not None:
         report["scene"] = scene_figures(btf, fitted, split, task.scene, config.tiles, measure, progress)
     if work is not None:
@@ -273,6 +277,7 @@ def _source(btf: Btf) -> dict[str, Any]:
         "source": {
             "kind": btf.source.kind, "path": btf.source.path, "height": btf.height, "width": btf.width,
             "lights": len(btf.lights), "views": len(btf.views), "encoding": btf.encoding, "exposure": btf.exposure,
-            "clipped_share": btf.clipped_share, "invalid_share": btf.invalid_share,
+            "clipped_share": btf.clipped_share, "invalid_share": btf.invalid_share, "notes": list(btf.source.notes),
+            "lights_of": paired_lights(btf),
         }
     }

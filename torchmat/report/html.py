@@ -71,6 +71,10 @@ def fit_page(report: dict[str, Any], pictures: Sequence[Path]) -> str:
         ["shading", f"{number(report['shade_mtexels_per_s'])} million texels a second"],
         ["stopped because", report["stop_reason"]],
     ]
+    if report.get("lambert"):
+        figures = report["lambert"]
+        facts += [["Lambert residual", figures["meaning"]], *(["warning", text] for text in figures["warnings"])]
+    facts += [["note", note] for note in source.get("notes", ())]
     body = [
         _table(*error_rows(report)),
         _table(["", ""], facts), *map(_figure, pictures), "<h2>By polar angle</h2>", _bands(report),
