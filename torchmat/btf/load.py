@@ -16,11 +16,11 @@ import torch
 from torchmat.btf.btf import CLIPPED_WEIGHT, Btf, Source, unique_directions
 from torchmat.btf.cache import open_store
 from torchmat.btf.decode import ENCODINGS, Decoder, resolve_encoding
-from torchmat.btf.listing import Listing
-from torchmat.btf.pixels import PixelOptions
-from torchmat.btf.reader import READERS
 from torchmat.btf.lambert import with_estimated_intensities
 from torchmat.btf.lighting import Lighting, by_ball, by_table, home_of
+from torchmat.btf.listing import Listing
+from torchmat.btf.pixels import PixelOptions, tag_notes
+from torchmat.btf.reader import READERS
 from torchmat.btf.readers import keep_samples, open_source, read_listing, reading_key
 from torchmat.btf.source import File, Folder, Zip
 from torchmat.btf.stereo import DIRECTIONS
@@ -101,10 +101,12 @@ def load_btf(
         downscale=_whole("downscale", downscale),
         invalid=invalid,
         encoding=encoding if downscale > 1 else "auto",  # without averaging the codes are stored as they are
+        by_profile=encoding == "auto",
     )
     if kind is not None:
         check_option("load_btf", "kind", kind, READERS)
     source = open_source(path, kind)
+    source.by_profile = options.by_profile
     try:
         opened = open_store(
             source,
@@ -152,7 +154,8 @@ def _listed(
 ) -> Listing:
     """Return the samples of a source, with the lighting and the (file, text) of intensities that are given beside it."""
     lister = None if lighting is None else lighting.lister
-    return read_listing(source, kind, duplicates, normalise, skip_bad_lights, lister, intensities)
+    listing = read_listing(source, kind, duplicates, normalise, skip_bad_lights, lister, intensities)
+    return dataclasses.replace(listing, notes=(*listing.notes, *tag_notes(source, listing)))
 
 
 def _whole(name: str, value: Any) -> int:

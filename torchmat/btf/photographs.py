@@ -28,8 +28,11 @@ def image_files(folder: str | Path) -> list[Path]:
 
 
 def read_linear(path: str | Path, encoding: str = "auto") -> Tensor:
-    """Return one picture [3, H, W], float32, linear; grey becomes three equal channels, alpha is dropped."""
-    codes = np.ascontiguousarray(split_channels(read_image(path), str(path))[0])
+    """Return one picture [3, H, W], float32, linear; grey becomes three equal channels, alpha is dropped.
+
+    `encoding` "auto" follows the picture's colour profile.
+    """
+    codes = np.ascontiguousarray(split_channels(read_image(path, by_profile=encoding == "auto"), str(path))[0])
     decoder = Decoder(codes.dtype, resolve_encoding(encoding, codes.dtype), 1.0)
     return decoder.into(codes, torch.empty(codes.shape))
 

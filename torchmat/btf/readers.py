@@ -13,6 +13,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from torchmat.btf.foreign import told, told_of_all
 from torchmat.btf.light_table import parse_intensities
 from torchmat.btf.listing import Listing, is_image
 from torchmat.btf.lit import KIND
@@ -59,6 +60,9 @@ def open_source(path: str | Path, kind: str | None = None) -> File | Folder | Zi
     if path.suffix.lower() in (".csv", ".lp"):
         step = f"Give its folder instead: {path.parent}."
         raise DataError(message(str(path), "the path", "be a folder or a zip", "it is a file", step))
+    foreign = told(path.name)
+    if foreign is not None:
+        raise DataError(message(str(path), "the path", "be photographs with their lights", f"it is {foreign[0]}", foreign[1]))
     wanted, step = "be a folder or a zip", "Give the folder or the zip that holds the images and their directions."
     if asked:
         wanted += f", or a file of kind {', '.join(reader.name for reader in asked)}"
@@ -81,6 +85,11 @@ def find_reader(source: File | Folder | Zip) -> Reader:
     fact = f"there are {len(names)} files, {images} of them images"
     columns = "file, light_polar_deg, light_azimuth_deg, view_polar_deg, view_azimuth_deg"
     step = f"Add a manifest.csv with the columns {columns}."
+    foreign = told_of_all(source.names)
+    if foreign is not None:
+        fact, step = f"there are {images} images, and {foreign[0]}", foreign[1]
+    elif images > 2:
+        step += " For photographs under one view, give their lights: --lights TABLE, or --ball FOLDER --circle COLUMN ROW RADIUS."
     raise DataError(message(str(source.path), "the data", "tell its directions", fact, step))
 
 
