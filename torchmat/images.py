@@ -134,8 +134,8 @@ def read_tags(path: str | Path) -> Tags:
 def _tags(source: ImageInput) -> Tags:
     spec = source.spec()
     orientation, profile = spec.get_int_attribute("Orientation", 1), spec.getattribute("ICCProfile")
-    known = profile is not None and spec.getattributetype("ICCProfile").basesize() == 1
-    return Tags(orientation if orientation in _TURNS else 1, np.array(profile, dtype=np.uint8).tobytes() if known else b"")
+    known = isinstance(profile, np.ndarray) and profile.dtype == np.uint8  # an EXR may call anything so
+    return Tags(orientation if orientation in _TURNS else 1, profile.tobytes() if known else b"")
 
 
 def write_image(path: str | Path, pixels: np.ndarray, channel_names: tuple[str, ...] | None = None) -> None:

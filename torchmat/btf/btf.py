@@ -248,7 +248,7 @@ class Btf:
     def value_range(self) -> tuple[float, float]:
         """Smallest and largest linear value over all images."""
         if self.intensity is not None:
-            return self._divided_range()
+            return self._divided_range(1 / self.intensity)
         ends = np.array(self._store.ends()).astype(self._store.pixels.dtype)
         low, high = self._decoder.into(ends, torch.empty(2)).tolist()
         return low, high
@@ -318,13 +318,12 @@ class Btf:
             level = level / self.intensity[self._rows(indices)].to(images.dtype)
         return self.clipped(indices) & (images >= level[:, :, None, None])
 
-    def _divided_range(self) -> tuple[float, float]:
+    def _divided_range(self, factor: Tensor) -> tuple[float, float]:
         if self._store.low is None or self._store.high is None:
             ends = [self.images([row]).aminmax() for row in range(len(self))]
             return min(float(low) for low, _ in ends), max(float(high) for _, high in ends)
         # Codes are known by sample alone: the range is that of a texel whose channels are all as dark or as bright.
         low, high = (self._decoder.into(np.ascontiguousarray(codes), torch.empty(len(self))) for codes in (self._store.low, self._store.high))
-        factor = 1 / self.intensity
         return float((low[:, None] * factor).min()), float((high[:, None] * factor).max())
 
     def read_as(self, encoding: str) -> Btf:

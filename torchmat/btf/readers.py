@@ -113,7 +113,7 @@ def read_listing(
     """
     reader = READERS[KIND] if lister else READERS[kind] if kind else find_reader(source)
     with reader.at_work(source):
-        listing = (lister or reader.listing)(source)
+        listing = _by_lister(source, lister) if lister else reader.listing(source)
     listing = _well_formed(source, reader, listing)
     if listing.faults and not skip_bad_lights:
         raise DataError(listing.faults[0])
@@ -131,6 +131,13 @@ def read_listing(
     if duplicates == "error":
         _refuse_duplicates(source, listing)
     return listing
+
+
+def _by_lister(source: File | Folder | Zip, lister: Callable[[Folder | Zip], Listing]) -> Listing:
+    if isinstance(source, File):
+        fact, step = "it is one file of a kind of its own", "It has its lights already."
+        raise DataError(message(str(source.path), "what lights are given for", "be a folder or zip of photographs", fact, step))
+    return lister(source)
 
 
 def keep_samples(listing: Listing, keep: Tensor) -> Listing:

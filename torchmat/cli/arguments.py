@@ -77,15 +77,15 @@ class DataArguments:
         for line in lights_text(btf, self.verbose):
             print(line)
         if self.write_lights is not None:
-            self._write_lights(btf)
+            self._write_lights(btf, self.write_lights)
         return btf
 
-    def _write_lights(self, btf) -> None:
+    def _write_lights(self, btf, path: Path) -> None:
         from torchmat.report.lights import ball_picture, write_lights
 
-        print(f"lights     {write_lights(btf, self.write_lights)}")
+        print(f"lights     {write_lights(btf, path)}")
         if self.ball is not None and self.circle is not None:
-            print(f"picture    {ball_picture(self.ball, self.circle, self.write_lights.with_suffix('.png'))}")
+            print(f"picture    {ball_picture(self.ball, self.circle, path.with_suffix('.png'))}")
 
 
 def names_of(texts: list[str]) -> list[str]:

@@ -81,8 +81,9 @@ class Geometry:
         if figures and lit.intensity is None and self.read.intensities is None:
             estimated = with_estimated_intensities(lit, only_if_better=True)
             print(f"note       {estimated.source.notes[-1]}")
-            if estimated.intensity is not None:
-                figures, lit = figures.with_intensities(lambert_of(estimated)), estimated
+            after = None if estimated.intensity is None else lambert_of(estimated)
+            if after:
+                figures, lit = figures.with_intensities(after), estimated
         for line in lambert_text(figures):
             print(line)
         images, light, weight = lit.images(range(len(lit))), lit.light, lit.weights(range(len(lit)))

@@ -49,14 +49,15 @@ def estimate_intensities(images: Tensor, light: Tensor, weight: Tensor | None = 
     chosen = chosen[torch.linspace(0, len(chosen) - 1, min(len(chosen), _TEXELS)).round().long()]
     values, given, light = values[chosen] / typical[chosen, None, None], given[chosen], light.double()
     grey = values.mean(dim=2)
-    intensity: Tensor | None = torch.ones(len(light), dtype=torch.float64)
+    intensity = torch.ones(len(light), dtype=torch.float64)
     for _ in range(_TURNS):
         trust = shading_weights(grey / intensity, light, given)
-        intensity = _fitting(grey, light, trust)
-        if intensity is None:
+        found = _fitting(grey, light, trust)
+        if found is None:
             return None
-    channels = [_fitting(values[..., c], light, trust) for c in range(3)]
-    return None if any(channel is None for channel in channels) else torch.stack(channels, dim=1)
+        intensity = found
+    channels = [one for one in (_fitting(values[..., c], light, trust) for c in range(3)) if one is not None]
+    return torch.stack(channels, dim=1) if len(channels) == 3 else None
 
 
 def _fitting(values: Tensor, light: Tensor, trust: Tensor) -> Tensor | None:
