@@ -18,7 +18,7 @@ TEXELS = 4096  # are looked at, evenly chosen: more change the figures by less t
 GOOD, WRONG = 0.1, 0.25  # residuals of matte surfaces, and of lights that do not belong to their photographs
 _SMALL = 0.05  # a residual below leaves nothing for another encoding or other intensities to explain
 _BETTER = 0.6  # another encoding or other intensities must leave less than so much of the residual, before they are named
-_NO_BETTER = 0.8  # of what lights dealt out at random leave, or the pairing says nothing
+_NO_BETTER = 0.5  # of what lights dealt out at random leave: above, the pairing explains little
 _UNLIKE = 1.1  # lights whose intensities differ by less are taken for equal
 
 

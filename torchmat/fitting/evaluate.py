@@ -78,10 +78,12 @@ def perceptual_share(samples: int, height: int, width: int) -> tuple[int, slice,
     """
     texels = height * width
     count = min(samples, PERCEPTUAL_SAMPLES, max(_FEWEST, PERCEPTUAL_TEXELS // texels))
-    share = min(1.0, math.sqrt(PERCEPTUAL_TEXELS / (max(count, 1) * texels)))
-    sides = [max(1, min(side, math.ceil(share * side))) for side in (height, width)]
-    first = [(side - part) // 2 for side, part in zip((height, width), sides, strict=True)]
-    return count, slice(first[0], first[0] + sides[0]), slice(first[1], first[1] + sides[1])
+    most = PERCEPTUAL_TEXELS / max(count, 1)
+    short = math.ceil(min(1.0, math.sqrt(most / texels)) * min(height, width))
+    long = min(max(height, width), math.ceil(most / short))
+    rows, columns = (short, long) if height <= width else (long, short)
+    top, left = (height - rows) // 2, (width - columns) // 2
+    return count, slice(top, top + rows), slice(left, left + columns)
 
 
 def comparable(material: Material, btf: Btf) -> tuple[Material, Btf]:
