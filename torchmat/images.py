@@ -5,13 +5,13 @@ from __future__ import annotations
 import shutil
 import struct
 import zlib
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, BinaryIO
+from typing import TYPE_CHECKING, BinaryIO, NamedTuple
 
 import numpy as np
 
-from torchmat import atomic
+from torchmat import atomic, icc
 from torchmat.errors import DataError, RangeError, ShapeError, message
 
 if TYPE_CHECKING:
@@ -26,6 +26,13 @@ _WRITABLE = {"uint8": "uint8", "uint16": "uint16", "float16": "half", "float32":
 # They would hold the time of writing: the same maps give the same bytes.
 _DATED, _NO_DATE = (".exr", ".tif", ".tiff"), "0000:00:00 00:00:00"
 _JPEG_SHARE, _JPEG_HEAD = 2, 4096  # of the pixels' bytes, and beside them: what a JPEG never exceeds
+
+# How pixels [H, W, C] become upright, by their EXIF orientation (CIPA DC-008, tag 274).
+_TURNS: dict[int, Callable[[np.ndarray], np.ndarray]] = {
+    1: lambda stored: stored, 2: lambda stored: stored[:, ::-1], 3: lambda stored: stored[::-1, ::-1], 4: lambda stored: stored[::-1],
+    5: lambda stored: stored.swapaxes(0, 1), 6: lambda stored: stored[::-1].swapaxes(0, 1),
+    7: lambda stored: stored[::-1, ::-1].swapaxes(0, 1), 8: lambda stored: stored[:, ::-1].swapaxes(0, 1),
+}
 
 _PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 # Asks for endless repetition, and a comment of the same length to stand in its place.
@@ -73,11 +80,12 @@ def _check_channels(path: str | Path, source: ImageInput) -> None:
         raise DataError(message(str(path), "channels", "include R, G and B, or none of them", fact, "Save it as RGB."))
 
 
-def read_image(path: str | Path) -> np.ndarray:
-    """Return the pixels of an image file as [H, W, C] in the type they are stored in.
+def read_image(path: str | Path, by_profile: bool = False) -> np.ndarray:
+    """Return the pixels of an image file as [H, W, C] in the type they are stored in, turned as its EXIF orientation says.
 
-    uint8, uint16, float16 and float32 come through unchanged, anything else as float32. Raises DataError, which
-    names the file, when it cannot be read to its end.
+    uint8, uint16, float16 and float32 come through unchanged, anything else as float32. `by_profile` converts colours that
+    have an ICC profile to sRGB (`torchmat.icc.converted`). Raises DataError, which names the file, when it cannot be read
+    to its end.
     """
     import OpenImageIO as oiio
 
@@ -86,6 +94,7 @@ def read_image(path: str | Path) -> np.ndarray:
         raise _unreadable(path, _reason(oiio))
     try:
         _check_channels(path, source)
+        tags = _tags(source)
         pixels = source.read_image(oiio.UNKNOWN)
         if source.has_error or pixels is None:
             raise _unreadable(path, _reason(source))
@@ -97,7 +106,36 @@ def read_image(path: str | Path) -> np.ndarray:
         source.close()
     if pixels.ndim == 2:
         pixels = pixels[:, :, None]
-    return pixels if pixels.dtype.name in _WRITABLE else pixels.astype(np.float32)
+    pixels = pixels if pixels.dtype.name in _WRITABLE else pixels.astype(np.float32)
+    pixels = pixels if tags.orientation == 1 else np.ascontiguousarray(_TURNS[tags.orientation](pixels))
+    return icc.converted(str(path), pixels, tags.profile) if by_profile and tags.profile else pixels
+
+
+class Tags(NamedTuple):
+    """What a picture says of itself: its EXIF `orientation`, 1 (upright) to 8, and its ICC colour `profile`, b"" for none."""
+
+    orientation: int
+    profile: bytes
+
+
+def read_tags(path: str | Path) -> Tags:
+    """Return what a picture says of itself; raises DataError, which names the file, when it cannot be opened."""
+    import OpenImageIO as oiio
+
+    source = oiio.ImageInput.open(_file_name(path))
+    if source is None:
+        raise _unreadable(path, _reason(oiio))
+    try:
+        return _tags(source)
+    finally:
+        source.close()
+
+
+def _tags(source: ImageInput) -> Tags:
+    spec = source.spec()
+    orientation, profile = spec.get_int_attribute("Orientation", 1), spec.getattribute("ICCProfile")
+    known = isinstance(profile, np.ndarray) and profile.dtype == np.uint8  # an EXR may call anything so
+    return Tags(orientation if orientation in _TURNS else 1, profile.tobytes() if known else b"")
 
 
 def write_image(path: str | Path, pixels: np.ndarray, channel_names: tuple[str, ...] | None = None) -> None:

@@ -27,6 +27,7 @@ from torchmat import colour
 _MU = 5000.0
 _CAP_DB = 200.0
 _SSIM_WINDOW = 11
+_BAND_VALUES = 4_000_000  # of a picture are worked on at a time: a photograph's would take gigabytes in one
 
 
 def psnr(mean_squared_error: float) -> float:
@@ -48,6 +49,26 @@ def relative(error: float, energy: float) -> float | None:
     return 0.0 if error == 0 else None
 
 
+def _counting(prediction: Tensor, target: Tensor, valid: Tensor, clipped: Tensor) -> tuple[Tensor, Tensor]:
+    """Return prediction and target where they count: equal above a clipped value, 0 where nothing was measured."""
+    prediction = torch.where(clipped, torch.minimum(prediction, target), prediction)
+    if not bool(valid.all()):
+        # Chosen, not multiplied: what stands where nothing was measured may be NaN.
+        prediction, target = (torch.where(valid, image, torch.zeros_like(image)) for image in (prediction, target))
+    return prediction, target
+
+
+def _sums(prediction: Tensor, target: Tensor, valid: Tensor, clipped: Tensor) -> Tensor:
+    """Return squared error, energy, squared display and log error, and count, [5, k], of planes [k, 3, H, W]."""
+    prediction, target = _counting(prediction, target, valid, clipped)
+    differences = (
+        lambda: prediction - target, lambda: target, lambda: colour.display(prediction) - colour.display(target),
+        lambda: log_encode(prediction) - log_encode(target),
+    )
+    found = [difference().square().sum(dim=(1, 2, 3), dtype=torch.float64) for difference in differences]
+    return torch.stack([*found, valid.sum(dim=(1, 2, 3), dtype=torch.float64)])
+
+
 @dataclass
 class SampleErrors:
     """Sums per sample, from which every pooled figure and every band is made. Lists grow by `add`."""
@@ -60,25 +81,30 @@ class SampleErrors:
     ssim: list[Tensor] = field(default_factory=list)
     delta_e: list[Tensor] = field(default_factory=list)
 
-    def add(self, prediction: Tensor, target: Tensor, valid: Tensor, clipped: Tensor, perceptual: Tensor) -> None:
-        """Add samples: planes [k, 3, H, W], masks [k, 1 or 3, H, W], and which of the k get SSIM and CIEDE2000."""
-        prediction = torch.where(clipped, torch.minimum(prediction, target), prediction)
-        valid = valid.expand_as(target)
-        if not bool(valid.all()):
-            # Chosen, not multiplied: what stands where nothing was measured may be NaN.
-            prediction, target = (torch.where(valid, image, torch.zeros_like(image)) for image in (prediction, target))
-        shown, wanted = colour.display(prediction), colour.display(target)
-        for found, difference in (
-            (self.squared, prediction - target), (self.energy, target), (self.display, shown - wanted),
-            (self.log, log_encode(prediction) - log_encode(target)),
-        ):
-            found.append(difference.square().sum(dim=(1, 2, 3), dtype=torch.float64))
-        self.count.append(valid.sum(dim=(1, 2, 3), dtype=torch.float64))
-        chosen = perceptual & valid.all(dim=1).flatten(1).any(dim=1)
-        if bool(chosen.any()):
-            self._add_perceptual(shown[chosen], wanted[chosen], valid[chosen].all(dim=1))
+    def add(
+        self, prediction: Tensor, target: Tensor, valid: Tensor, clipped: Tensor, perceptual: Tensor,
+        window: tuple[slice, slice] = (slice(None), slice(None)),
+    ) -> None:
+        """Add samples: planes [k, 3, H, W], masks [k, 1 or 3, H, W], and which of the k get SSIM and CIEDE2000.
 
-    def _add_perceptual(self, shown: Tensor, wanted: Tensor, valid: Tensor) -> None:
+        Those two are measured in a `window` of rows and columns. What is worked on at a time is bounded, whatever the size.
+        """
+        planes = (prediction, target, valid.expand_as(target), clipped.expand_as(target))
+        rows = max(1, _BAND_VALUES // (target.shape[0] * 3 * target.shape[3]))
+        bands = [[part[..., top : top + rows, :] for part in planes] for top in range(0, target.shape[2], rows)]
+        sums = torch.stack([_sums(*band) for band in bands]).sum(dim=0) if len(bands) > 1 else _sums(*planes)
+        for found, part in zip((self.squared, self.energy, self.display, self.log, self.count), sums, strict=True):
+            found.append(part)
+        if bool(perceptual.any()):
+            self._add_perceptual(*(part[perceptual][..., window[0], window[1]] for part in planes))
+
+    def _add_perceptual(self, prediction: Tensor, target: Tensor, valid: Tensor, clipped: Tensor) -> None:
+        seen = valid.all(dim=1).flatten(1).any(dim=1)
+        if not bool(seen.any()):
+            return
+        prediction, target = _counting(*(part[seen] for part in (prediction, target, valid, clipped)))
+        shown, wanted, valid = colour.display(prediction), colour.display(target), valid[seen].all(dim=1)
+
         def mean(values: Tensor) -> Tensor:
             inside = torch.where(valid, values, torch.zeros_like(values))
             return inside.sum(dim=(1, 2), dtype=torch.float64) / valid.sum(dim=(1, 2))

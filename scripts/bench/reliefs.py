@@ -11,7 +11,8 @@ from measure import SHARED, timed
 
 import torchmat as tm
 from torchmat.btf.btf import Btf
-from torchmat.btf.photographs import read_lights, read_photographs
+from torchmat.btf.light_table import read_lights
+from torchmat.btf.photographs import read_photographs
 from torchmat.fitting import recover_geometry
 from torchmat.geometry import photometric_stereo, relief_from_photographs, soft_shadow, trace_view
 from torchmat.models import Distribution

@@ -9,7 +9,8 @@ import pytest
 import torch
 from tests.support import hemisphere, shared_path
 
-from torchmat.btf.photographs import read_lights, read_photographs
+from torchmat.btf.light_table import read_lights
+from torchmat.btf.photographs import read_photographs
 from torchmat.cli import main
 from torchmat.errors import DataError, RangeError, ShapeError
 from torchmat.geometry import Relief, relief_from_photographs, relief_from_picture

@@ -18,7 +18,8 @@ from tests.hard_cases.fuzz_inputs import (
 from tests.rendering.mesh_files import assert_frames_hold
 
 import torchmat as tm
-from torchmat.btf.photographs import read_lights, read_linear
+from torchmat.btf.light_table import read_lights
+from torchmat.btf.photographs import read_linear
 from torchmat.create.textures import find_textures, read_textures
 from torchmat.fitting.config import FitConfig, load_config
 from torchmat.geometry.height_file import load_height

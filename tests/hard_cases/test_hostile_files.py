@@ -18,7 +18,8 @@ from tests.support import assert_close
 
 from torchmat import DataError, RangeError, load_brdf, load_btf, load_config, load_material
 from torchmat.brdf import AnalyticBrdf, brdf_kind
-from torchmat.btf.photographs import read_lights, read_linear
+from torchmat.btf.light_table import read_lights
+from torchmat.btf.photographs import read_linear
 from torchmat.btf.readers import open_source
 from torchmat.errors import message
 from torchmat.geometry.height_file import load_height

@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import hashlib
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import torch
@@ -25,13 +25,14 @@ _DIRECTION_DECIMALS = 4  # directions closer than about 1e-4 (0.006 degrees) are
 
 @dataclass(frozen=True)
 class Source:
-    """Where a Btf came from: shown by `torchmat info`, kept in a material's provenance."""
+    """Where a Btf came from, and notes on what was taken for what: shown by commands, kept in a material's provenance."""
 
     kind: str = "tensors"
     path: str = "memory"
     files: tuple[str, ...] = field(default=(), repr=False)
     load_seconds: float = 0.0
     from_cache: bool = False
+    notes: tuple[str, ...] = ()
 
 
 def unique_directions(directions: Tensor) -> tuple[Tensor, Tensor]:
@@ -75,6 +76,7 @@ class Btf:
         decoder: what makes linear values of the codes.
         source: where the images come from; None if they were given.
         clipped_weight: what a clipped sample counts in a fit, 0 to 1; an invalid one counts nothing.
+        intensity: how bright each light was in red, green and blue [sample, 3]: values are divided by it; None is 1.
     """
 
     def __init__(
@@ -85,6 +87,7 @@ class Btf:
         decoder: Decoder,
         source: Source | None = None,
         clipped_weight: float = CLIPPED_WEIGHT,
+        intensity: Tensor | None = None,
     ) -> None:
         self._store = store
         self._decoder = decoder
@@ -92,6 +95,7 @@ class Btf:
         self.view = view
         self.source = source or Source()
         self.clipped_weight = clipped_weight
+        self.intensity = intensity
         self._validate()
         self.lights, self.light_index = unique_directions(light)
         self.views, self.view_index = unique_directions(view)
@@ -108,6 +112,9 @@ class Btf:
                 fact = f"there are {count} images and {name} is {tuple(direction.shape)}"
                 raise ShapeError(message(where, name, "be [sample, 3]", fact, "Give one direction for each image."))
             check_unit(where, name, direction, "Divide each by its length.")
+        if self.intensity is not None and (self.intensity.shape != (count, 3) or not bool((self.intensity > 0).all())):
+            fact = f"it is {tuple(self.intensity.shape)}"
+            raise ShapeError(message(where, "intensity", f"be [{count}, 3] and positive", fact))
         below = self.view[:, 2] <= 0
         if bool(below.any()):
             fact = f"{int(below.sum())} of {count} views have z <= 0, first at sample {int(below.nonzero()[0, 0])}"
@@ -173,6 +180,7 @@ class Btf:
         digest.update(repr((float(self._decoder.exposure), self.clipped_weight)).encode())
         arrays = [self.light.numpy(), self.view.numpy(), store.clipped, store.invalid]
         arrays += [array for array in (store.low, store.high) if array is not None]
+        arrays += [] if self.intensity is None else [self.intensity.numpy()]
         chosen = np.linspace(0, len(self) - 1, min(len(self), _LOOKED_AT)).round().astype(int)
         arrays += [part[row] for part in (store.pixels, store.flags) if part is not None for row in chosen]
         for array in arrays:
@@ -185,6 +193,9 @@ class Btf:
         part = copy.copy(self)
         part._store = self._store.picked(rows)
         part.light, part.view = self.light[rows], self.view[rows]
+        if len(self.source.files) == len(self):
+            part.source = replace(self.source, files=tuple(self.source.files[row] for row in rows))
+        part.intensity = None if self.intensity is None else self.intensity[rows]
         kept, part.light_index = self.light_index[rows].unique(return_inverse=True)
         part.lights = self.lights[kept]
         kept, part.view_index = self.view_index[rows].unique(return_inverse=True)
@@ -236,6 +247,8 @@ class Btf:
     @property
     def value_range(self) -> tuple[float, float]:
         """Smallest and largest linear value over all images."""
+        if self.intensity is not None:
+            return self._divided_range(1 / self.intensity)
         ends = np.array(self._store.ends()).astype(self._store.pixels.dtype)
         low, high = self._decoder.into(ends, torch.empty(2)).tolist()
         return low, high
@@ -268,7 +281,8 @@ class Btf:
         codes = np.ascontiguousarray(self._store.pixels[rows])
         if len(rows):
             self._store.release(range(int(rows.min()), int(rows.max()) + 1))
-        return self._decoder.into(codes, torch.empty(codes.shape, dtype=dtype))
+        images = self._decoder.into(codes, torch.empty(codes.shape, dtype=dtype))
+        return images if self.intensity is None else images.div_(self.intensity[rows][:, :, None, None].to(dtype))
 
     def weights(self, indices: Sequence[int] | Tensor) -> Tensor:
         """Return the weights of chosen images [k, 1, H, W] in [0, 1]."""
@@ -297,6 +311,40 @@ class Btf:
         # Averages of clipped codes are stored as floating point, and are still known by their flags.
         return (1 - 1e-6) / self._decoder.exposure if self.may_clip else float("inf")
 
+    def saturated(self, indices: Sequence[int] | Tensor, images: Tensor) -> Tensor:
+        """Return which channels of chosen `images` [k, 3, H, W] are clipped, bool: the truth is at least that bright."""
+        level = torch.full((1, 3), self.clip_level, dtype=images.dtype)
+        if self.intensity is not None:
+            level = level / self.intensity[self._rows(indices)].to(images.dtype)
+        return self.clipped(indices) & (images >= level[:, :, None, None])
+
+    def _divided_range(self, factor: Tensor) -> tuple[float, float]:
+        if self._store.low is None or self._store.high is None:
+            ends = [self.images([row]).aminmax() for row in range(len(self))]
+            return min(float(low) for low, _ in ends), max(float(high) for _, high in ends)
+        # Codes are known by sample alone: the range is that of a texel whose channels are all as dark or as bright.
+        low, high = (self._decoder.into(np.ascontiguousarray(codes), torch.empty(len(self))) for codes in (self._store.low, self._store.high))
+        return float((low[:, None] * factor).min()), float((high[:, None] * factor).max())
+
+    def read_as(self, encoding: str) -> Btf:
+        """Return the same codes with another meaning, "srgb" or "linear"."""
+        part = copy.copy(self)
+        part._decoder = Decoder(self._decoder.stored, encoding, self._decoder.exposure)
+        return part
+
+    def divided_by(self, intensity: Tensor, note: str) -> Btf:
+        """Return the same images with each divided by `intensity` [sample, 3] of its light in place of what was known."""
+        part = copy.copy(self)
+        part.intensity = intensity.to(self.light.dtype)
+        part._validate()
+        return part.noted(note)
+
+    def noted(self, note: str) -> Btf:
+        """Return the same images with one more note on where they come from."""
+        part = copy.copy(self)
+        part.source = replace(self.source, notes=(*self.source.notes, note))
+        return part
+
     def _to_weight(self, flags: np.ndarray) -> Tensor:
         table = torch.tensor([1.0, self.clipped_weight, 0.0])
         return table[torch.from_numpy(flags.astype(np.int64))][:, None]
@@ -316,7 +364,10 @@ class Btf:
                 return None
             return self._to_weight(self._store.flags[run.start : run.stop])
 
-        return stream_blocks(self._store, self._decoder, weigh, wanted, dtype, progress)
+        for block in stream_blocks(self._store, self._decoder, weigh, wanted, dtype, progress):
+            if self.intensity is not None:
+                block.images.div_(self.intensity[block.samples.start : block.samples.stop, :, None, None].to(dtype))
+            yield block
 
     def weight_blocks(self, wanted: Tensor | None = None) -> Iterator[tuple[range, Tensor]]:
         """Stream the weights [k, 1, H, W] of just those runs of samples in which some weight is below 1."""

@@ -34,7 +34,7 @@ from torchmat.btf.store import PixelStore
 from torchmat.errors import DataError, RangeError, message
 from torchmat.text_file import read_text
 
-_FORMAT = 3
+_FORMAT = 4
 _HEADER, _TABLE, _PIXELS, _FLAGS = "header.json", "table.npz", "pixels.raw", "flags.raw"
 _STORE_NAME = re.compile("[0-9a-f]{24}")
 _SPOT_BYTES = 8_000_000  # of a cached store are held against its table; more would be felt on each load
@@ -88,11 +88,14 @@ def _write(source: File | Folder | Zip, listing: Listing, folder: Path, options:
         flags = np.memmap(folder / _FLAGS, np.uint8, "w+", shape=(shape[0], *shape[2:]))
         table = decode_samples(images, names, normalise, pixels, flags, show)
     columns: dict[str, Any] = {"light": listing.light.numpy(), "view": listing.view.numpy(), **table}
+    if listing.intensity is not None:
+        columns["intensity"] = listing.intensity.numpy()
     np.savez(folder / _TABLE, files=np.array(listing.files), **columns)
     header = {
         "format": _FORMAT, "fingerprint": source.fingerprint, "kind": listing.kind, "source": str(source.path),
         "shape": shape, "dtype": normalise.out_dtype.name, "table": zlib.crc32((folder / _TABLE).read_bytes()),
         "linear": options.downscale > 1, "flagged": bool(table["clipped"].any() or table["invalid"].any()),
+        "notes": listing.notes,
     }
     (folder / _HEADER).write_text(json.dumps({**header, "checksum": _checksum_of(header)}))
 
@@ -144,7 +147,8 @@ def _open(folder: Path, fingerprint: str) -> OpenStore | None:
     if any(len(array) != shape[0] for array in arrays.values()) or not _matches_table(store, arrays["checksum"]):
         return None
     light, view = torch.from_numpy(arrays["light"]), torch.from_numpy(arrays["view"])
-    listing = Listing(header["kind"], tuple(arrays["files"].tolist()), light, view)
+    intensity = torch.from_numpy(arrays["intensity"]) if "intensity" in arrays else None
+    listing = Listing(header["kind"], tuple(arrays["files"].tolist()), light, view, intensity, tuple(header["notes"]))
     return OpenStore(store, listing, header["linear"], True)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import unicodedata
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -19,12 +20,25 @@ from torchmat.text_file import decode_text
 
 @dataclass(frozen=True)
 class Listing:
-    """Image files with their directions: `files` [n] names, `light` and `view` [n, 3] unit vectors, float64."""
+    """Image files with their directions: `files` [n] names, `light` and `view` [n, 3] unit vectors, float64.
+
+    `intensity` [n, 3] is what values are divided by: how bright each light was. `notes` say what was taken for what;
+    `faults` are the texts of errors that are raised unless bad lights are to be skipped.
+    """
 
     kind: str
     files: tuple[str, ...]
     light: Tensor
     view: Tensor
+    intensity: Tensor | None = None
+    notes: tuple[str, ...] = ()
+    faults: tuple[str, ...] = ()
+
+
+def natural(name: str) -> tuple[tuple[int, int, str], ...]:
+    """Return the key that sorts names as people count: img2 before img10, whatever the capitals."""
+    parts = re.split(r"([0-9]+)", unicodedata.normalize("NFC", name).casefold())
+    return (*((0, int(part), part) if part[:1].isdecimal() and len(part) < 4000 else (1, 0, part) for part in parts if part), (-1, 0, name))
 
 
 def is_image(name: str) -> bool:
@@ -52,7 +66,7 @@ def the_one(source: Folder | Zip, wanted: Callable[[str], bool], what: str) -> s
         raise DataError(message(str(source.path), what, "be there", "there is none", step))
     if len(found) > 1 and found[0].count("/") == found[1].count("/"):
         fact = f"there are {len(found)}: {found[0]}, {found[1]}"
-        raise DataError(message(str(source.path), what, "be the only one", fact, "Keep one, or give its folder."))
+        raise DataError(message(str(source.path), what, "be the only one", fact, "Keep one, or give the file's own path."))
     return found[0]
 
 
@@ -86,12 +100,18 @@ class FileNames:
                 return self._whole[_folded(name)]
         return self._last.get(_folded(PurePosixPath(text).name), [])
 
+    def missing(self, where: str, text: str) -> str | None:
+        """Return the text of the error when no file is meant by `text`, None when there is one."""
+        if self.lookup(text):
+            return None
+        step = "Put the image there, or correct or remove the line."
+        return message(where, f"the file {text!r}", "exist", "it is not there", step)
+
     def find(self, where: str, text: str) -> str:
         """Return the one file that `text` means; raises DataError when it is none, several, or listed before."""
         found = self.lookup(text)
         if not found:
-            step = "Put the image there, or correct or remove the line."
-            raise DataError(message(where, f"the file {text!r}", "exist", "it is not there", step))
+            raise DataError(self.missing(where, text))
         if len(found) > 1:
             fact = f"it may be {found[0]} or {found[1]}"
             step = "Write its folder too."

@@ -16,15 +16,20 @@ import torch
 from torchmat.btf.btf import CLIPPED_WEIGHT, Btf, Source, unique_directions
 from torchmat.btf.cache import open_store
 from torchmat.btf.decode import ENCODINGS, Decoder, resolve_encoding
+from torchmat.btf.lambert import with_estimated_intensities
+from torchmat.btf.lighting import Lighting, by_ball, by_table, home_of
 from torchmat.btf.listing import Listing
-from torchmat.btf.pixels import PixelOptions
+from torchmat.btf.pixels import PixelOptions, tag_notes
 from torchmat.btf.reader import READERS
-from torchmat.btf.readers import open_source, read_listing, reading_key
+from torchmat.btf.readers import keep_samples, open_source, read_listing, reading_key
+from torchmat.btf.source import File, Folder, Zip
+from torchmat.btf.stereo import DIRECTIONS
 from torchmat.btf.store import PixelStore
 from torchmat.errors import RangeError, check_option, check_positive, message
+from torchmat.text_file import read_text
 
 INVALID_WAYS, DUPLICATE_WAYS = ("error", "mask"), ("error", "keep")
-_KIND_OF_TABLE = {".csv": "manifest", ".lp": "rti"}
+ESTIMATE = "estimate"
 
 
 def load_btf(
@@ -40,6 +45,11 @@ def load_btf(
     invalid: str = "error",
     duplicates: str = "error",
     normalise: bool = False,
+    light_table: str | Path | None = None,
+    ball: str | Path | None = None,
+    circle: Sequence[float] | None = None,
+    intensities: str | Path | None = None,
+    skip_bad_lights: bool = False,
     clipped_weight: float = CLIPPED_WEIGHT,
     cache: bool | str | Path = True,
     progress: bool | None = None,
@@ -50,8 +60,9 @@ def load_btf(
     weight 0.
 
     Args:
-        path: a folder, a zip, or a file that a registered reader takes; the ``manifest.csv`` or ``.lp`` file itself means its folder.
-        kind: "ubo2003", "utia", "manifest", "rti" or the name of another reader (`register_reader`); None finds it from the
+        path: a folder, a zip, or a file that a registered reader takes; the ``manifest.csv`` or ``light_directions.txt`` itself
+            means its folder, an ``.lp`` file this one table, with photographs in its folder or else in the one above.
+        kind: "ubo2003", "utia", "manifest", "rti", "stereo" or the name of another reader (`register_reader`); None finds it from the
             content.
         encoding: "srgb" or "linear"; "auto" reads integer files as sRGB and floating-point files as linear.
         exposure: factor that the images were exposed with, above 0; values are divided by it.
@@ -60,7 +71,16 @@ def load_btf(
         lights, views: numbers, in the order of ``btf.lights`` and ``btf.views``, of the directions to keep; None is all.
         invalid: what to do with NaN and Inf: "error", or "mask" for weight 0.
         duplicates: what to do with repeated directions: "error" or "keep".
-        normalise: whether directions that are not unit are made so; else they are an error.
+        normalise: whether directions that are not unit are made so; else they are an error, unless rounding explains it.
+        light_table: file of the lights of photographs under one view (`parse_lights` says in what forms), which then need no
+            table of their own; without names in it, photographs count in natural order (img2 before img10), or in that of a
+            ``filenames.txt`` beside them. Its vectors may have any length.
+        ball: folder of photographs of a chrome ball under the same lights, called alike or in the same order.
+        circle: the ball's centre (column, row) and radius in pixels.
+        intensities: file with the intensity of each light, one number or red, green and blue, by which values are divided;
+            or "estimate", what makes a matte surface fit best (`estimate_intensities`). None takes those of the table.
+        skip_bad_lights: whether to leave out lights below the surface or without a direction, and lines whose photograph is
+            not there; else they are an error. How many is in ``btf.source.notes``.
         clipped_weight: what a clipped sample counts in a fit, 0 to 1.
         cache: folder for decoded images; True is the user's cache folder, or $TORCHMAT_CACHE, and False is none.
         progress: whether to show a bar; None shows it on a terminal.
@@ -72,23 +92,27 @@ def load_btf(
     check_option("load_btf", "invalid", invalid, INVALID_WAYS)
     check_option("load_btf", "duplicates", duplicates, DUPLICATE_WAYS)
     check_positive("load_btf", "exposure", exposure, "It divides all values; 1 leaves them.")
-    path = Path(path)
-    table = _KIND_OF_TABLE.get(path.suffix.lower())
-    if table is not None and os.path.isfile(path):
-        path, kind = path.parent, kind or table
+    path, kind, lighting = _lighting(Path(path), kind, light_table, ball, circle)
+    estimate = intensities == ESTIMATE
+    given = None if intensities is None or estimate else read_text(intensities, "the intensities")
+    normalise = normalise or light_table is not None
     options = PixelOptions(
         crop=_crop(crop),
         downscale=_whole("downscale", downscale),
         invalid=invalid,
         encoding=encoding if downscale > 1 else "auto",  # without averaging the codes are stored as they are
+        by_profile=encoding == "auto",
     )
     if kind is not None:
         check_option("load_btf", "kind", kind, READERS)
     source = open_source(path, kind)
+    source.by_profile = options.by_profile
     try:
         opened = open_store(
-            source, lambda: read_listing(source, kind, duplicates, normalise),
-            (*reading_key(source, kind), duplicates, normalise), options, cache, progress,
+            source,
+            lambda: _listed(source, kind, duplicates, normalise, skip_bad_lights, lighting, None if given is None else (str(intensities), given)),
+            (*reading_key(source, kind), duplicates, normalise, skip_bad_lights, lighting and lighting.key, given), options,
+            cache, progress,
         )
     finally:
         source.close()
@@ -96,8 +120,42 @@ def load_btf(
     stored = store.pixels.dtype
     decoder = Decoder(stored, "linear" if opened.linear else resolve_encoding(encoding, stored), float(exposure))
     seconds = time.perf_counter() - start
-    origin = Source(listing.kind, str(path), listing.files, seconds, opened.from_cache)
-    return Btf(store, listing.light.float(), listing.view.float(), decoder, origin, clipped_weight)
+    origin = Source(listing.kind, str(path), listing.files, seconds, opened.from_cache, listing.notes)
+    intensity = None if listing.intensity is None else listing.intensity.float()
+    btf = Btf(store, listing.light.float(), listing.view.float(), decoder, origin, clipped_weight, intensity)
+    return with_estimated_intensities(btf) if estimate else btf
+
+
+def _lighting(
+    path: Path, kind: str | None, light_table: str | Path | None, ball: str | Path | None, circle: Sequence[float] | None
+) -> tuple[Path, str | None, Lighting | None]:
+    """Return the photographs' folder, their kind, and the lighting that is given beside them; None leaves it to a reader."""
+    if ball is not None and light_table is not None:
+        step = "Give the one that is right."
+        raise RangeError(message(str(path), "the lights", "come from a table or from a ball", "both are given", step))
+    if os.path.isfile(path):
+        if path.name.lower() == "manifest.csv" or (path.suffix.lower() == ".csv" and light_table is None):
+            path, kind = path.parent, kind or "manifest"
+        elif path.name.lower() == DIRECTIONS:
+            path, kind = path.parent, kind or "stereo"
+        elif path.suffix.lower() == ".lp":
+            home = home_of(path)
+            if light_table is None and ball is None:
+                return home, None, by_table(path, home)
+            path = home
+    if light_table is not None:
+        return path, None, by_table(light_table)
+    return path, kind, None if ball is None else by_ball(ball, circle)
+
+
+def _listed(
+    source: File | Folder | Zip, kind: str | None, duplicates: str, normalise: bool, skip_bad_lights: bool,
+    lighting: Lighting | None, intensities: tuple[str, str] | None,
+) -> Listing:
+    """Return the samples of a source, with the lighting and the (file, text) of intensities that are given beside it."""
+    lister = None if lighting is None else lighting.lister
+    listing = read_listing(source, kind, duplicates, normalise, skip_bad_lights, lister, intensities)
+    return dataclasses.replace(listing, notes=(*listing.notes, *tag_notes(source, listing)))
 
 
 def _whole(name: str, value: Any) -> int:
@@ -146,9 +204,7 @@ def _select(
         step = "Choose pairs that were measured."
         raise RangeError(message(where, "lights and views", "leave at least one image", "they leave none", step))
     rows = keep.nonzero()[:, 0].numpy()
-    files = tuple(listing.files[row] for row in rows)
-    listing = Listing(listing.kind, files, listing.light[keep], listing.view[keep])
-    return listing, _take(store, rows)
+    return keep_samples(listing, keep), _take(store, rows)
 
 
 def _take(store: PixelStore, rows: np.ndarray) -> PixelStore:

@@ -15,28 +15,31 @@ import torch
 from torchmat.btf.decode import Decoder, resolve_encoding
 from torchmat.btf.listing import Listing
 from torchmat.btf.reader import Pixels
-from torchmat.btf.source import Folder, Zip
+from torchmat.btf.source import File, Folder, Zip
 from torchmat.btf.store import CLIPPED, INVALID
 from torchmat.errors import DataError, ShapeError, message
-from torchmat.images import read_image
+from torchmat.icc import read_profile
+from torchmat.images import read_image, read_tags
 from torchmat.progress import progress
 
 CHUNK = 64  # images that one thread decodes in a go; smaller tasks spend their time in hand-over
-_CHUNK_BYTES = 2**28  # of them: a container may give all of a go at once
+_FILES_BYTES = 2**21  # of them, where each comes by itself: what takes long shows its progress picture by picture
+_CHUNK_BYTES = 2**28  # of them, where a container may give all of a go at once
 
 
 @dataclass(frozen=True)
 class PixelOptions:
     """What changes the stored pixels, and so belongs to the name of a store.
 
-    `crop` is (top, left, height, width) in texels; `downscale` a whole factor, averaged in linear light; `invalid`
-    says whether NaN or Inf is an "error" or gets weight 0 ("mask").
+    `crop` is (top, left, height, width) in texels; `downscale` a whole factor, averaged in linear light; `by_profile`
+    whether colour profiles are followed; `invalid` says whether NaN or Inf is an "error" or gets weight 0 ("mask").
     """
 
     crop: tuple[int, int, int, int] | None = None
     downscale: int = 1
     invalid: str = "error"
     encoding: str = "auto"
+    by_profile: bool = True
 
 
 def split_channels(pixels: np.ndarray, where: str) -> tuple[np.ndarray, np.ndarray | None]:
@@ -98,7 +101,7 @@ class Normaliser:
         if self.options.invalid == "error" and unmarked.any():
             row, column = np.argwhere(unmarked)[0] + [axis.start for axis in self.window]
             fact = f"{int(unmarked.sum())} texels are NaN or Inf, first at row {row}, column {column}"
-            step = "Repair the image, or pass invalid='mask' to give those texels no weight."
+            step = "Repair the image, or pass invalid='mask' (--invalid mask) to give those texels no weight."
             raise DataError(message(where, "the image", "be finite", fact, step))
         flags[bad] = INVALID
         return np.where(bad, np.zeros((), dtype=codes.dtype), codes)
@@ -117,10 +120,28 @@ def read_pixels(source: Folder | Zip, name: str) -> np.ndarray:
     """Return the pixels [H, W, C] of one file of `source`; raises DataError, which names the file."""
     with source.file(name) as path:
         try:
-            return read_image(path)
+            return read_image(path, source.by_profile)
         except DataError as error:
             # A file from a zip is opened under a scratch name, which would mean nothing to the reader.
             raise DataError(str(error).replace(str(path), f"{source.path}: {name}")) from error
+
+
+def tag_notes(source: File | Folder | Zip, listing: Listing) -> list[str]:
+    """Return notes on what the first image says of its colours and its orientation, where that changes what is read."""
+    name = listing.files[0]
+    if isinstance(source, File) or name not in source.names:
+        return []
+    try:
+        with source.file(name) as path:
+            tags = read_tags(path)
+        profile = read_profile(f"{source.path}: {name}", tags.profile) if tags.profile else None
+    except DataError:
+        return []  # said with more words when it is decoded
+    notes = ["images are turned upright, as their EXIF orientation says"] if tags.orientation != 1 else []
+    if profile and not profile.is_srgb:
+        done = "converted to sRGB" if source.by_profile else "taken as they are, since an encoding is given"
+        notes.append(f"images have the colour profile {profile.name!r}; their colours are {done}")
+    return notes
 
 
 def images_of_files(source: Folder | Zip, listing: Listing) -> Pixels:
@@ -158,7 +179,7 @@ def decode_samples(
     table["checksum"] = np.zeros(count, dtype=np.uint32)
     rows, columns = normalise.window
     size = (rows.stop - rows.start) * (columns.stop - columns.start) * images.shape[2] * images.dtype.itemsize
-    chunk = max(1, min(CHUNK, _CHUNK_BYTES // size))
+    chunk = max(1, min(CHUNK, (_FILES_BYTES if images.parallel else _CHUNK_BYTES) // size))
     one_at_a_time = threading.Lock()
 
     def taken(samples: range) -> Iterable[np.ndarray]:

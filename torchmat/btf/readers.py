@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import zipfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path, PurePosixPath
@@ -13,17 +13,23 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from torchmat.btf.foreign import told, told_of_all
+from torchmat.btf.light_table import parse_intensities
 from torchmat.btf.listing import Listing, is_image
+from torchmat.btf.lit import KIND
 from torchmat.btf.lp import RTI
 from torchmat.btf.manifest import MANIFEST
 from torchmat.btf.names import UBO2003, UTIA
 from torchmat.btf.reader import DTYPES, READERS, Pixels, Reader, register_reader
 from torchmat.btf.source import File, Folder, Zip
+from torchmat.btf.stereo import STEREO
 from torchmat.errors import DataError, check_option, message
 
 _UNIT_TOLERANCE = 1e-3
+_ROUNDED = 0.01  # what rounding to two decimals may do to a length
+_VARYING = 1.05  # lengths that differ more are those of positions
 
-for _reader in (MANIFEST, RTI, UBO2003, UTIA):
+for _reader in (MANIFEST, RTI, UBO2003, UTIA, STEREO):
     register_reader(_reader)
 
 
@@ -54,6 +60,9 @@ def open_source(path: str | Path, kind: str | None = None) -> File | Folder | Zi
     if path.suffix.lower() in (".csv", ".lp"):
         step = f"Give its folder instead: {path.parent}."
         raise DataError(message(str(path), "the path", "be a folder or a zip", "it is a file", step))
+    foreign = told(path.name)
+    if foreign is not None:
+        raise DataError(message(str(path), "the path", "be photographs with their lights", f"it is {foreign[0]}", foreign[1]))
     wanted, step = "be a folder or a zip", "Give the folder or the zip that holds the images and their directions."
     if asked:
         wanted += f", or a file of kind {', '.join(reader.name for reader in asked)}"
@@ -76,6 +85,11 @@ def find_reader(source: File | Folder | Zip) -> Reader:
     fact = f"there are {len(names)} files, {images} of them images"
     columns = "file, light_polar_deg, light_azimuth_deg, view_polar_deg, view_azimuth_deg"
     step = f"Add a manifest.csv with the columns {columns}."
+    foreign = told_of_all(source.names)
+    if foreign is not None:
+        fact, step = f"there are {images} images, and {foreign[0]}", foreign[1]
+    elif images > 2:
+        step += " For photographs under one view, give their lights: --lights TABLE, or --ball FOLDER --circle COLUMN ROW RADIUS."
     raise DataError(message(str(source.path), "the data", "tell its directions", fact, step))
 
 
@@ -87,20 +101,63 @@ def reading_key(source: File | Folder | Zip, kind: str | None) -> tuple[object, 
     return (kind, *((reader.name, reader.version) for reader in asked if reader.version))
 
 
-def read_listing(source: File | Folder | Zip, kind: str | None, duplicates: str, normalise: bool) -> Listing:
-    """Parse `source` as `kind` (None: found from its content) and check the directions."""
-    if kind is not None:
-        check_option("load_btf", "kind", kind, READERS)
-    reader = READERS[kind] if kind else find_reader(source)
+def read_listing(
+    source: File | Folder | Zip, kind: str | None, duplicates: str, normalise: bool, skip_bad_lights: bool = False,
+    lister: Callable[[Folder | Zip], Listing] | None = None, intensities: tuple[str, str] | None = None,
+) -> Listing:
+    """Return the samples of a source with unit directions, checked; errors name the file.
+
+    `skip_bad_lights` leaves out, and counts in the notes, what would else be refused: lights below the surface or without
+    a direction, and lines whose photograph is not there. `lister` reads photographs with a table that lies elsewhere, in
+    place of the reader of `kind`; `intensities` are the name and the text of a file of the lights' intensities.
+    """
+    reader = READERS[KIND] if lister else READERS[kind] if kind else find_reader(source)
     with reader.at_work(source):
-        listing = reader.listing(source)
+        listing = _by_lister(source, lister) if lister else reader.listing(source)
     listing = _well_formed(source, reader, listing)
-    light, view = (_unit(source, listing, which, normalise) for which in ("light", "view"))
-    listing = replace(listing, light=light, view=view)
+    if listing.faults and not skip_bad_lights:
+        raise DataError(listing.faults[0])
+    if intensities:
+        intensity = parse_intensities(*intensities, len(listing.files)).expand(-1, 3)
+        listing = replace(listing, intensity=intensity, notes=(*listing.notes, f"intensities are those of {intensities[0]}"))
+    notes = [f"{len(listing.faults)} lines of the table are skipped, first: {listing.faults[0]}"] if listing.faults else []
+    if skip_bad_lights:
+        listing, skipped = _without_bad_lights(source, listing)
+        notes += skipped
+    light, light_notes = _unit(source, listing, "light", normalise)
+    view, view_notes = _unit(source, listing, "view", normalise)
+    listing = replace(listing, light=light, view=view, notes=(*listing.notes, *notes, *light_notes, *view_notes), faults=())
     _refuse_below(source, listing)
     if duplicates == "error":
         _refuse_duplicates(source, listing)
     return listing
+
+
+def _by_lister(source: File | Folder | Zip, lister: Callable[[Folder | Zip], Listing]) -> Listing:
+    if isinstance(source, File):
+        fact, step = "it is one file of a kind of its own", "It has its lights already."
+        raise DataError(message(str(source.path), "what lights are given for", "be a folder or zip of photographs", fact, step))
+    return lister(source)
+
+
+def keep_samples(listing: Listing, keep: Tensor) -> Listing:
+    """Return a listing of the samples that `keep`, bool [n], marks."""
+    files = tuple(file for file, kept in zip(listing.files, keep.tolist(), strict=True) if kept)
+    intensity = None if listing.intensity is None else listing.intensity[keep]
+    return replace(listing, files=files, light=listing.light[keep], view=listing.view[keep], intensity=intensity)
+
+
+def _without_bad_lights(source: File | Folder | Zip, listing: Listing) -> tuple[Listing, list[str]]:
+    length = listing.light.norm(dim=1)
+    bad = ~torch.isfinite(length) | (length == 0) | (listing.light[:, 2] < -1e-9 * length)
+    if not bool(bad.any()):
+        return listing, []
+    if bool(bad.all()):
+        fact, step = f"all {len(bad)} are not", "Check the sign of z: it points away from the surface."
+        raise DataError(message(str(source.path), "lights", "lie above the surface", fact, step))
+    first = listing.files[int(bad.nonzero()[0, 0])]
+    note = f"{int(bad.sum())} of {len(bad)} photographs are skipped, whose lights are below the surface, first {first}"
+    return keep_samples(listing, ~bad), [note]
 
 
 def _well_formed(source: File | Folder | Zip, reader: Reader, listing: Listing) -> Listing:
@@ -113,7 +170,11 @@ def _well_formed(source: File | Folder | Zip, reader: Reader, listing: Listing) 
     if not count or light.shape != (count, 3) or view.shape != (count, 3):
         fact = f"it has {count} names, light {tuple(light.shape)} and view {tuple(view.shape)}"
         raise DataError(message(where, "its listing", "hold a name, a light and a view [n, 3] for each sample", fact))
-    return Listing(reader.name, tuple(listing.files), light, view)
+    intensity = None if listing.intensity is None else torch.as_tensor(listing.intensity, dtype=torch.float64)
+    if intensity is not None and (intensity.shape != (count, 3) or not bool((torch.isfinite(intensity) & (intensity > 0)).all())):
+        fact = f"they are {tuple(intensity.shape)}, the least {float(intensity.min()) if intensity.numel() else 0:g}"
+        raise DataError(message(where, "its intensities", f"be [{count}, 3] and positive", fact))
+    return replace(listing, kind=reader.name, files=tuple(listing.files), light=light, view=view, intensity=intensity)
 
 
 @contextmanager
@@ -162,20 +223,33 @@ def _checked(where: str, reader: Reader, source: File | Folder | Zip, opened: Pi
     return read
 
 
-def _unit(source: File | Folder | Zip, listing: Listing, which: str, normalise: bool) -> Tensor:
+def _unit(source: File | Folder | Zip, listing: Listing, which: str, normalise: bool) -> tuple[Tensor, list[str]]:
+    """Return directions of length 1, and notes on those that were brought to it."""
     directions: Tensor = getattr(listing, which)
-    length = directions.norm(dim=1, keepdim=True)
-    none = (length == 0) | ~torch.isfinite(length)
-    bad = none if normalise else none | ((length - 1).abs() > _UNIT_TOLERANCE)
+    largest = directions.abs().amax(dim=1, keepdim=True)  # or squares of positions far away would leave the range of numbers
+    length = (directions / largest).nan_to_num(0.0, 0.0, 0.0).norm(dim=1, keepdim=True) * largest
+    none = (largest == 0) | ~torch.isfinite(largest)
+    bad = none if normalise else none | ((length - 1).abs() > _ROUNDED)
     if bool(bad.any()):
         first = int(bad[:, 0].nonzero()[0, 0])
         fact = f"{int(bad.sum())} of {len(bad)} are not, first of length {float(length[first, 0]):.6g}"
-        step = "Divide each by its length, or pass normalise=True if they are positions of far lights."
+        step = "Divide each by its length, or pass normalise=True (--normalise) if they are positions of far lights."
         if bool(none[first]):
             step = "It says nothing about a direction; correct or remove it."
+            step += " skip_bad_lights=True (--skip-bad-lights) leaves it out." if which == "light" else ""
         where = f"{source.path}: {listing.files[first]}"
         raise DataError(message(where, f"the {which} direction", "be a unit vector", fact, step))
-    return directions / length
+    off = int(((length - 1).abs() > _UNIT_TOLERANCE).sum())
+    notes = [] if not off else [
+        f"{off} of {len(length)} {which} directions were brought to length 1; they were {float(length.min()):.4g} to "
+        f"{float(length.max()):.4g} long"
+    ]
+    if off and which == "light" and float(length.max()) > _VARYING * float(length.min()):
+        notes.append("warning: the lights look like positions; they are taken for directions of far lights, which is wrong "
+                     "near the edge of a surface that is not small beside its distance to them")
+    usual = (length > 1e-150) & (length < 1e150)
+    scaled = torch.where(usual, directions, directions / largest)
+    return scaled / scaled.norm(dim=1, keepdim=True), notes
 
 
 def _refuse_below(source: File | Folder | Zip, listing: Listing) -> None:
@@ -189,6 +263,7 @@ def _refuse_below(source: File | Folder | Zip, listing: Listing) -> None:
             fact = f"{int(below.sum())} of {len(below)} do not, first is ({x:.4g}, {y:.4g}, {z:.4g})"
             where = f"{source.path}: {listing.files[first]}"
             step = "z points away from the surface; remove the image or correct the sign."
+            step += " skip_bad_lights=True (--skip-bad-lights) leaves those out." if which == "light" else ""
             raise DataError(message(where, f"the {which} direction", "lie above the surface", fact, step))
 
 
@@ -198,6 +273,6 @@ def _refuse_duplicates(source: File | Folder | Zip, listing: Listing) -> None:
     for file, key in zip(listing.files, map(tuple, keys.tolist()), strict=True):
         if key in seen:
             where, fact = f"{source.path}: {file}", f"it has those of {seen[key]}"
-            step = "Remove one of the two, or pass duplicates='keep' if both were measured."
+            step = "Remove one of the two, or pass duplicates='keep' (--duplicates keep) if both were measured."
             raise DataError(message(where, "the directions", "differ from every other's", fact, step))
         seen[key] = file

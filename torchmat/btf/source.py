@@ -66,7 +66,9 @@ def _files_below(path: Path) -> Iterator[tuple[str, tuple[int, int]]]:
 
 
 class Folder:
-    """The files below a folder, by their names relative to it."""
+    """The files below a folder, by their names relative to it; `by_profile` says to follow colour profiles of images."""
+
+    by_profile = True
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -99,6 +101,8 @@ class Folder:
 class File:
     """One file that holds everything: directions and images."""
 
+    by_profile = True
+
     def __init__(self, path: Path) -> None:
         self.path = path
         self.names = [path.name]
@@ -123,7 +127,9 @@ def _mark(path: Path) -> str:
 
 
 class Zip:
-    """The files of a zip archive. Nothing is ever unpacked under a name that the archive chose."""
+    """The files of a zip archive, as those of a Folder. Nothing is ever unpacked under a name that the archive chose."""
+
+    by_profile = True
 
     def __init__(self, path: Path) -> None:
         self.path = path

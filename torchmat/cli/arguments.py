@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 SAMPLE = "sample"
+NO_INTENSITIES = "none"
 
 
 @dataclass
@@ -18,7 +19,7 @@ class DataArguments:
     no_cache: bool = False
     """Decode anew and leave nothing behind."""
     kind: str | None = None
-    """manifest, rti, ubo2003, utia, or another reader's name; found from the content when left out."""
+    """manifest, rti, ubo2003, utia, stereo, or another reader's name; found from the content when left out."""
     encoding: str | None = None
     """auto, srgb or linear."""
     exposure: float | None = None
@@ -31,23 +32,60 @@ class DataArguments:
     """error, or mask: NaN and Inf get no weight."""
     duplicates: str | None = None
     """error, or keep: repeated directions are allowed."""
-    normalise: bool | None = None
+    normalise: bool = False
     """Bring directions that are not unit vectors to length 1."""
+    lights: Path | None = None
+    """Table with the lights of photographs under one view: an .lp file, CSV, or x y z of one light a line (or a column) in
+    the natural order of the photographs (img2 before img10), or that of a filenames.txt beside them."""
+    ball: Path | None = None
+    """Folder of photographs of a chrome ball under the same lights, called alike or in the same order."""
+    circle: tuple[float, float, float] | None = None
+    """The ball's centre (column, row) and radius in pixels."""
+    intensities: str | None = None
+    """File with the intensity of each light, one number or red, green and blue; or estimate; or none, those of the table
+    alone (default: as none; geometry estimates them where that explains the photographs far better)."""
+    skip_bad_lights: bool = False
+    """Leave out lights below the surface and lines whose photograph is not there, instead of refusing all."""
+    write_lights: Path | None = None
+    """Write the lights of photographs under one view as an .lp file; with --ball also a picture of its highlights."""
+    verbose: bool = False
+    """Print the light of every photograph, not of the first and the last alone."""
     clipped_weight: float | None = None
     """What a clipped sample counts in the fit, 0 to 1."""
 
     def keywords(self) -> dict[str, Any]:
         """Return what was given on the command line as keywords of `load_btf`."""
-        names = ("kind", "encoding", "exposure", "crop", "downscale", "invalid", "duplicates", "normalise", "clipped_weight")
+        names = ("kind", "encoding", "exposure", "crop", "downscale", "invalid", "duplicates", "clipped_weight", "circle")
         given = {name: getattr(self, name) for name in names if getattr(self, name) is not None}
+        given |= {name: True for name in ("normalise", "skip_bad_lights") if getattr(self, name)}
+        paths = {"light_table": self.lights, "ball": self.ball}
+        given |= {name: str(path) for name, path in paths.items() if path is not None}
+        if self.intensities not in (None, NO_INTENSITIES):
+            given["intensities"] = self.intensities
         return {**given, "cache": False if self.no_cache else (self.cache or True)}
 
     def load(self, path: str, settings: dict | None = None):
-        """Load the BTF; arguments given on the command line override the config's [data]."""
+        """Load the BTF; arguments given on the command line override the config's [data].
+
+        Of one view the light of each photograph is said, and written where that is asked for.
+        """
         from torchmat import load_btf, sample_path
+        from torchmat.report.lights import lights_text
 
         where = sample_path() if path == SAMPLE and not Path(path).exists() else path
-        return load_btf(where, **{**(settings or {}), **self.keywords()})
+        btf = load_btf(where, **{**(settings or {}), **self.keywords()})
+        for line in lights_text(btf, self.verbose):
+            print(line)
+        if self.write_lights is not None:
+            self._write_lights(btf, self.write_lights)
+        return btf
+
+    def _write_lights(self, btf, path: Path) -> None:
+        from torchmat.report.lights import ball_picture, write_lights
+
+        print(f"lights     {write_lights(btf, path)}")
+        if self.ball is not None and self.circle is not None:
+            print(f"picture    {ball_picture(self.ball, self.circle, path.with_suffix('.png'))}")
 
 
 def names_of(texts: list[str]) -> list[str]:

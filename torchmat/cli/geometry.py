@@ -21,12 +21,6 @@ class Geometry:
     """BTF or RTI capture, a folder of photographs with --lights or --ball, or one picture."""
     out: Path = Path("relief")
     """Folder to write."""
-    lights: Path | None = None
-    """Text file with x y z of one light a line (or a column), in the order of the photographs' names."""
-    ball: Path | None = None
-    """Folder of photographs of a chrome ball under the same lights, in the same order."""
-    circle: tuple[float, float, float] | None = None
-    """The ball's centre (column, row) and radius in pixels."""
     tiles: bool = False
     """The surface repeats: its left border continues its right one."""
     depth: str = "16"
@@ -41,58 +35,59 @@ class Geometry:
 
     def run(self) -> None:
         from torchmat.material_io.relief_folder import check_target, save_relief
+        from torchmat.report.lights import ball_picture
         from torchmat.report.pictures import relief_picture
 
         check_target(self.out)  # before the work, not after it
-        relief = self._recover()
+        relief, described = self._recover()
 
         def draw(building: Path) -> None:
             relief_picture(relief, building / "relief.png")
+            if self.read.ball is not None and self.read.circle is not None:
+                ball_picture(self.read.ball, self.read.circle, building / "ball.png")
 
-        folder = save_relief(relief, self.out, self.depth, {"source": self.path}, draw)
+        folder = save_relief(relief, self.out, self.depth, {"source": self.path, **described}, draw)
         for path in sorted(folder.iterdir()):
             print(f"relief     {path}")
 
     def _recover(self):
+        """Return the relief, and what is to be said of where it comes from."""
         from torchmat import colour
         from torchmat.btf.listing import is_image
-        from torchmat.btf.photographs import read_linear, read_photographs
-        from torchmat.geometry import relief_from_photographs, relief_from_picture
+        from torchmat.btf.photographs import read_linear
+        from torchmat.geometry import relief_from_picture
 
-        encoding = self.read.encoding or "auto"
         if Path(self.path).is_file() and is_image(self.path):
-            picture = colour.display(read_linear(self.path, encoding))
-            return relief_from_picture(picture, self.height_scale, self.normal_strength, self.tiles)
-        if self.lights is not None or self.ball is not None:
-            images, weight = read_photographs(self.path, encoding), None
-            light = self._given_lights(len(images))
-        else:
-            btf = self.read.load(self.path)
-            if len(btf.views) > 1:
-                from torchmat.fitting import recover_geometry
+            picture = colour.display(read_linear(self.path, self.read.encoding or "auto"))
+            return relief_from_picture(picture, self.height_scale, self.normal_strength, self.tiles), {}
+        btf = self.read.load(self.path)
+        if len(btf.views) > 1:
+            from torchmat.fitting import recover_geometry
 
-                found = recover_geometry(btf, tiles=self.tiles)
-                print("; ".join(f"{key}: {value}" for key, value in found.figures().items()))
-                return found.relief
-            rows = ((btf.view_index == 0) & (btf.light[:, 2] > 0)).nonzero()[:, 0]  # views run from the pole outward
-            images, light, weight = btf.images(rows), btf.light[rows], btf.weights(rows)
-        return relief_from_photographs(images, light, weight, self.tiles, self.integration)
+            found = recover_geometry(btf, tiles=self.tiles)
+            print("; ".join(f"{key}: {value}" for key, value in found.figures().items()))
+            return found.relief, {}
+        return self._of_one_view(btf)
 
-    def _given_lights(self, count: int):
-        import torch
+    def _of_one_view(self, btf):
+        from torchmat.btf.lambert import lambert_of, with_estimated_intensities
+        from torchmat.btf.lit import paired_lights
+        from torchmat.geometry import relief_from_photographs
+        from torchmat.report.lights import lambert_text
 
-        from torchmat.btf.photographs import read_lights, read_photographs
-        from torchmat.errors import RangeError, message
-        from torchmat.geometry import find_highlight, lights_from_ball
-
-        if self.lights is not None:
-            return read_lights(self.lights, count)
-        assert self.ball is not None
-        balls = read_photographs(self.ball)
-        if self.circle is None or len(balls) != count:
-            fact = "--circle is missing" if self.circle is None else f"there are {len(balls)} for {count} photographs"
-            step = "Give --circle COLUMN ROW RADIUS and one photograph of the ball for each light."
-            raise RangeError(message(str(self.ball), "the ball", "be calibrated", fact, step))
-        centre, radius = self.circle[:2], self.circle[2]
-        highlights = torch.stack([find_highlight(ball, centre, radius) for ball in balls])
-        return lights_from_ball(highlights, centre, radius).float()
+        rows = (btf.light[:, 2] > 0).nonzero()[:, 0]
+        lit = btf if len(rows) == len(btf) else btf.picked(rows)
+        figures = lambert_of(lit)
+        if figures and lit.intensity is None and self.read.intensities is None:
+            estimated = with_estimated_intensities(lit, only_if_better=True)
+            print(f"note       {estimated.source.notes[-1]}")
+            after = None if estimated.intensity is None else lambert_of(estimated)
+            if after:
+                figures, lit = figures.with_intensities(after), estimated
+        for line in lambert_text(figures):
+            print(line)
+        images, light, weight = lit.images(range(len(lit))), lit.light, lit.weights(range(len(lit)))
+        described = {
+            "notes": list(lit.source.notes), "lights": paired_lights(lit), "lambert": figures and figures.report(),
+        }
+        return relief_from_photographs(images, light, weight, self.tiles, self.integration), described

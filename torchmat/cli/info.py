@@ -26,8 +26,10 @@ class Info:
     read: Annotated[DataArguments, tyro.conf.arg(name="")] = field(default_factory=DataArguments)
 
     def run(self) -> None:
+        from torchmat.btf.lambert import lambert_of
         from torchmat.rendering.mesh_file import is_mesh
         from torchmat.report.describe import describe_brdf, describe_btf, describe_material, is_brdf, is_material
+        from torchmat.report.lights import lambert_text
 
         if is_material(self.path):
             print(describe_material(self.path))
@@ -42,6 +44,8 @@ class Info:
             return
         btf = self.read.load(self.path)
         print(describe_btf(btf))
+        for line in lambert_text(lambert_of(btf)):
+            print(line)
         if not self.no_plot:
             from torchmat.report.pictures import directions_picture
 

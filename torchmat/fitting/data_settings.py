@@ -24,6 +24,10 @@ def _are_whole(value: object) -> bool:
     return isinstance(value, list | tuple) and all(_is_whole(one) and one >= 0 for one in value)
 
 
+def _are_numbers(value: Any) -> bool:
+    return isinstance(value, list | tuple) and all(map(_is_number, value))
+
+
 # What a number or a list must be, and how that is checked; what is chosen from a few names stands below.
 _RULES: dict[str, tuple[str, Callable[[Any], bool]]] = {
     "exposure": ("be a positive number", lambda value: _is_number(value) and value > 0),
@@ -32,6 +36,11 @@ _RULES: dict[str, tuple[str, Callable[[Any], bool]]] = {
     "lights": ("be a list of whole numbers from 0", lambda value: _are_whole(value) and len(value) > 0),
     "views": ("be a list of whole numbers from 0", lambda value: _are_whole(value) and len(value) > 0),
     "normalise": ("be true or false", lambda value: isinstance(value, bool)),
+    "light_table": ("be the path of a table of lights", lambda value: isinstance(value, str)),
+    "ball": ("be the path of a folder of photographs of a chrome ball", lambda value: isinstance(value, str)),
+    "circle": ("be three numbers: column, row, radius", lambda value: _are_numbers(value) and len(value) == 3),
+    "intensities": ("be the path of a file of intensities, or estimate", lambda value: isinstance(value, str)),
+    "skip_bad_lights": ("be true or false", lambda value: isinstance(value, bool)),
     "clipped_weight": ("be a number from 0 to 1", lambda value: _is_number(value) and 0 <= value <= 1),
 }
 _CHOICES = {

@@ -18,9 +18,13 @@ from torchmat.models.edit import resized
 from torchmat.progress import progress as progress_bar
 
 BAND_DEG = 15
-PERCEPTUAL_SAMPLES = 256  # SSIM and CIEDE2000 cost far more than the rest; an even choice of samples is enough
+# SSIM and CIEDE2000 cost far more than the rest: an even choice of samples, of large images the middle, is enough.
+PERCEPTUAL_SAMPLES, PERCEPTUAL_TEXELS = 256, 2_000_000
+_FEWEST = 8  # samples that are looked at, however large they are
+MEASURES = ("none", "quick", "full")
 SPLITS = ("train", "held_out", "held_out_after_export")
-_TRAIN_SAMPLES = 512  # the training error is measured on at most so many samples, evenly chosen
+_TRAIN_SAMPLES, _TRAIN_TEXELS = 512, 100_000_000  # the training error is measured on at most so much, evenly chosen
+_QUICK_TEXELS = 2_000_000  # of each part, where quick figures are asked for
 _VALUES = 1_000_000  # values of one batch: larger ones leave the processor's cache and take three times as long
 
 
@@ -54,13 +58,32 @@ def evaluate(
     """
     if most is not None and len(indices) > most:
         indices = indices[torch.linspace(0, len(indices) - 1, most).round().long()]
+    part = comparable(material, btf)[1]
+    count, rows, columns = perceptual_share(len(indices), part.height, part.width)
     looked_at = torch.zeros(len(indices), dtype=torch.bool)
     if perceptual:
-        looked_at[torch.linspace(0, len(indices) - 1, min(len(indices), PERCEPTUAL_SAMPLES)).round().long()] = True
-    errors = sample_errors(material, btf, indices, looked_at, progress)
+        looked_at[torch.linspace(0, len(indices) - 1, count).round().long()] = True
+    errors = sample_errors(material, btf, indices, looked_at, progress, (rows, columns))
     report: dict[str, Any] = {"samples": len(indices), **errors.report()}
+    if perceptual:
+        report |= {"perceptual_samples": count, "perceptual_size": [rows.stop - rows.start, columns.stop - columns.start]}
     report["by_angle"] = _bands(errors, btf.light[indices], "light") + _bands(errors, btf.view[indices], "view")
     return Evaluation(report, errors.per_sample_display())
+
+
+def perceptual_share(samples: int, height: int, width: int) -> tuple[int, slice, slice]:
+    """Return how many of so many samples get SSIM and CIEDE2000, and in which rows and columns: about 2 million texels.
+
+    Up to 256 whole images; fewer, and of at least 8 the middle alone, where that would be more texels.
+    """
+    texels = height * width
+    count = min(samples, PERCEPTUAL_SAMPLES, max(_FEWEST, PERCEPTUAL_TEXELS // texels))
+    most = PERCEPTUAL_TEXELS / max(count, 1)
+    short = math.ceil(min(1.0, math.sqrt(most / texels)) * min(height, width))
+    long = min(max(height, width), math.ceil(most / short))
+    rows, columns = (short, long) if height <= width else (long, short)
+    top, left = (height - rows) // 2, (width - columns) // 2
+    return count, slice(top, top + rows), slice(left, left + columns)
 
 
 def comparable(material: Material, btf: Btf) -> tuple[Material, Btf]:
@@ -78,9 +101,10 @@ def comparable(material: Material, btf: Btf) -> tuple[Material, Btf]:
 
 
 def sample_errors(
-    material: Material, btf: Btf, indices: Tensor, looked_at: Tensor, progress: bool | None = False
+    material: Material, btf: Btf, indices: Tensor, looked_at: Tensor, progress: bool | None = False,
+    window: tuple[slice, slice] = (slice(None), slice(None)),
 ) -> SampleErrors:
-    """Return the errors of `material` on samples `indices`, of which `looked_at` (bool) get SSIM and CIEDE2000."""
+    """Return the errors of `material` on samples `indices`, of which `looked_at` (bool) get SSIM and CIEDE2000 in `window`."""
     material, btf = comparable(material, btf)
     errors = SampleErrors()
     batch = max(1, _VALUES // (3 * btf.height * btf.width))
@@ -89,8 +113,8 @@ def sample_errors(
         rows = indices[part]
         prediction = predict(material, btf, rows)
         target = btf.images(rows, prediction.dtype)
-        clipped = btf.clipped(rows) & (target >= btf.clip_level)
-        errors.add(prediction, target, btf.valid(rows), clipped, looked_at[part])
+        clipped = btf.saturated(rows, target)
+        errors.add(prediction, target, btf.valid(rows), clipped, looked_at[part], window)
     return errors
 
 
@@ -111,20 +135,26 @@ class NotMeasured(dict[str, Any]):
 def nothing_measured() -> dict[str, Any]:
     """Return what stands for the figures of each of SPLITS in a fit that was told not to measure."""
     step = "Leave measure out, or measure now: tm.evaluate(result.material, btf, result.split.held_out).report."
-    return {part: NotMeasured(part, "measure=False left the errors out", step) for part in SPLITS}
+    return {part: NotMeasured(part, "measure='none' left the errors out", step) for part in SPLITS}
 
 
 def evaluate_parts(
-    btf: Btf, material: Material, split: Split, progress: bool | None = False
+    btf: Btf, material: Material, split: Split, progress: bool | None = False, quick: bool = False
 ) -> tuple[dict[str, Any], Evaluation | None]:
-    """Return the figures of each of SPLITS, NotMeasured without held-out samples, and what was measured on those."""
-    report: dict[str, Any] = {"train": evaluate(material, btf, split.train, _TRAIN_SAMPLES, progress).report}
-    held_out = evaluate(material, btf, split.held_out, None, progress) if len(split.held_out) else None
+    """Return the figures of each of SPLITS, NotMeasured without held-out samples, and what was measured on those.
+
+    On all held-out samples and some that the fit saw, or of both on few, `quick`.
+    """
+    texels = btf.height * btf.width
+    few = max(_FEWEST, _QUICK_TEXELS // texels) if quick else None
+    some = min(few or _TRAIN_SAMPLES, _TRAIN_SAMPLES, max(_FEWEST, _TRAIN_TEXELS // texels))
+    report: dict[str, Any] = {"train": evaluate(material, btf, split.train, some, progress).report}
+    held_out = evaluate(material, btf, split.held_out, few, progress) if len(split.held_out) else None
     if held_out is None:
         step = "Give holdout=0.2; report['train'] has the errors on samples that the fit saw."
         return report | {part: NotMeasured(part, "no samples are held out", step) for part in SPLITS[1:]}, None
     report["held_out"] = held_out.report
-    report["held_out_after_export"] = evaluate(material.as_exported(), btf, split.held_out, None, progress).report
+    report["held_out_after_export"] = evaluate(material.as_exported(), btf, split.held_out, few, progress).report
     return report, held_out
 
 

@@ -14,10 +14,12 @@ import torch
 from torch import Tensor
 
 from torchmat.btf import Btf, Split, split_samples
-from torchmat.errors import RangeError, message
+from torchmat.btf.lambert import lambert_of
+from torchmat.btf.lit import paired_lights
+from torchmat.errors import RangeError, check_option, message
 from torchmat.fitting.choice.choose import fit_auto
 from torchmat.fitting.config import FitConfig, load_config
-from torchmat.fitting.evaluate import evaluate, evaluate_parts, nothing_measured, shading_rate
+from torchmat.fitting.evaluate import MEASURES, evaluate, evaluate_parts, nothing_measured, shading_rate
 from torchmat.fitting.from_material import check_free, fit_from, kept_names, onward_of
 from torchmat.fitting.geometry import AUTO_RELIEF, RECOVER, Geometry, resolve_geometry
 from torchmat.fitting.objective import described
@@ -36,6 +38,7 @@ from torchmat.models import Material
 from torchmat.scene_use import SceneUse, Usable, as_use
 from torchmat.solvers.clock import Watch
 
+NONE, QUICK, FULL = MEASURES
 _CURVE_SAMPLES = 400  # held-out ones that a curve is measured on; of a few, chance decides whether they hold a highlight
 
 
@@ -50,7 +53,7 @@ class FitResult:
             "held_out_after_export".
         split: the numbers of the samples that were fitted and held out.
         coverage: [1, H, W], the share of the unknowns that each texel's samples determine; None where it has no meaning.
-        held_out_errors: [m], the display error of each held-out sample; None if nothing was measured.
+        held_out_errors: [m], the display error of each held-out sample; None if not all were measured.
         relief: the geometry that was recovered and used; None on a flat surface or a given height.
         history: (seconds, error) as the fit went on: of an iterative solver in its own terms, or with `curve` the relative
             error on held-out samples.
@@ -85,7 +88,7 @@ def fit(
     work: str | Path | None = None,
     curve: bool = False,
     dtype: torch.dtype = torch.float32,
-    measure: bool = True,
+    measure: str | bool = "full",
     progress: bool | None = None,
     **options: Any,
 ) -> FitResult:
@@ -117,7 +120,8 @@ def fit(
         work: folder that keeps finished tiles, where a run that was stopped goes on.
         curve: whether to record the held-out error against seconds as `history`.
         dtype: torch.float32, or torch.float64 for the same code in double precision.
-        measure: whether the report has errors; measuring takes most of the time of a closed-form fit.
+        measure: "full" (or True) puts errors on all held-out samples into the report, "quick" on some, about 2 million texels,
+            "none" (or False) none; measuring takes most of the time of a closed-form fit.
         progress: whether to show a bar; None shows it on a terminal.
         options: the model's options, such as ``terms=16`` (`describe_model`), its `solver`, a name or an object such as
             ``Adam(steps=100)``, and its `objective`; of a material `solver`, `steps`, `rate`, `objective`, and `keep`, the
@@ -129,6 +133,8 @@ def fit(
         "holdout": holdout, "holdout_by": holdout_by, "seed": seed, "tiles": tiles, "tile_size": tile_size, "memory_mb": memory_mb,
     }
     wanted = {"error": error, "psnr": psnr, "bytes": bytes, "seconds": seconds}
+    how = FULL if measure is True else NONE if measure is False else measure
+    check_option("fit", "measure", how, MEASURES)
     if dtype not in (torch.float32, torch.float64):
         raise RangeError(message("fit", "dtype", "be torch.float32 or torch.float64", f"it is {dtype}"))
     if isinstance(model, Material):
@@ -145,16 +151,21 @@ def fit(
         fitted = task.run(training)
         watch.note(lambda: fitted.material)
     seconds = watch.seconds
-    errors, held_out = evaluate_parts(btf, fitted.material, split, progress) if measure else (nothing_measured(), None)
+    errors, held_out = nothing_measured(), None
+    if how != NONE:
+        errors, held_out = evaluate_parts(btf, fitted.material, split, progress, quick=how == QUICK)
     used = task.options if fitted.options is None else fitted.options
     ways = {"options": described(used), "geometry": task.geometry}
+    figures = None if how == NONE else lambert_of(btf)
     report = {**_described(btf, config, fitted), **ways, "fit_seconds": seconds, **errors, "curve": watch.history}
+    report["lambert"] = figures and figures.report()
     if task.scene is not None:
-        report["scene"] = scene_figures(btf, fitted, split, task.scene, config.tiles, measure, progress)
+        report["scene"] = scene_figures(btf, fitted, split, task.scene, config.tiles, how != NONE, progress)
     if work is not None:
         clear_work(work)
     return FitResult(
-        fitted.material, fitted.stop_reason, report, split, fitted.coverage, held_out.per_sample if held_out else None,
+        fitted.material, fitted.stop_reason, report, split, fitted.coverage,
+        held_out.per_sample if held_out and len(held_out.per_sample) == len(split.held_out) else None,
         fitted.relief, watch.history or fitted.history,
     )
 
@@ -273,6 +284,7 @@ def _source(btf: Btf) -> dict[str, Any]:
         "source": {
             "kind": btf.source.kind, "path": btf.source.path, "height": btf.height, "width": btf.width,
             "lights": len(btf.lights), "views": len(btf.views), "encoding": btf.encoding, "exposure": btf.exposure,
-            "clipped_share": btf.clipped_share, "invalid_share": btf.invalid_share,
+            "clipped_share": btf.clipped_share, "invalid_share": btf.invalid_share, "notes": list(btf.source.notes),
+            "lights_of": paired_lights(btf),
         }
     }

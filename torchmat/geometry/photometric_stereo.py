@@ -88,7 +88,7 @@ def _solve(grey: Tensor, light: Tensor, given: Tensor) -> tuple[Tensor, Tensor, 
     the precision of `grey`; the last solution is in double precision.
     """
     up = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)[:, None]
-    weight, light = _weigh(grey, light.to(grey.dtype), given).double(), light.double()
+    weight, light = shading_weights(grey, light.to(grey.dtype), given).double(), light.double()
     scaled = _solve_symmetric(_information(weight, light), ((weight * grey) @ light).T.contiguous())
     full = _least_eigenvalue(_information(torch.ones(1, len(light), dtype=torch.float64), light))
     confidence = (_least_eigenvalue(_information(weight, light)) / full).clamp(0, 1)
@@ -97,8 +97,8 @@ def _solve(grey: Tensor, light: Tensor, given: Tensor) -> tuple[Tensor, Tensor, 
     return normal, weight, torch.where(lit, confidence, torch.zeros_like(confidence))
 
 
-def _weigh(grey: Tensor, light: Tensor, given: Tensor) -> Tensor:
-    """Return weights [t, n] that leave out shadow and highlight, by iteration from ranks."""
+def shading_weights(grey: Tensor, light: Tensor, given: Tensor) -> Tensor:
+    """Return weights [t, n] that leave out shadow and highlight, by iteration from ranks, of values and given weights [t, n]."""
     count = len(light)
     rank = grey.argsort(dim=1).argsort(dim=1).to(grey.dtype) / max(count - 1, 1)
     weight = given * ((rank >= _DARKEST) & (rank <= _BRIGHTEST)) if count > 5 else given.clone()

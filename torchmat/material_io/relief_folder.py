@@ -20,7 +20,7 @@ from torchmat.images import write_image
 DEPTHS = ("16", "float")
 _FILES = (
     "relief.json", "height.png", "height.exr", "normal_gl.png", "normal_gl.exr", "normal_dx.png", "normal_dx.exr",
-    "albedo.exr", "confidence.png", "relief.png",
+    "albedo.exr", "confidence.png", "relief.png", "ball.png",
 )
 
 

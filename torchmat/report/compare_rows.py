@@ -58,12 +58,14 @@ class Entry:
 
 @dataclass(frozen=True)
 class Setting:
-    """What all rows share: the split, the `budget` of seconds of one fit, its repeats, and whether curves are drawn."""
+    """What all rows share: the split, the `budget` of seconds of one fit, its repeats, whether curves are drawn, and whether
+    errors are measured on some samples alone."""
 
     split: dict[str, Any] = field(default_factory=dict)
     budget: float | None = None
     repeats: int = 1
     curves: bool = True
+    quick: bool = False
 
 
 def parse_model(text: str) -> tuple[str, dict[str, Any]]:
@@ -110,7 +112,7 @@ def make_row(btf: Btf, entry: Entry, setting: Setting) -> dict[str, Any]:
             runs.append(_run(btf, entry, setting, with_curve and repeat == setting.repeats - 1))
     except (FitError, RangeError) as error:  # too few lights for a relief are known only by the data
         return row | {"failed": str(error)}
-    return row | _figures(btf, runs) | ({"curve": runs[-1][0].report["curve"]} if with_curve else {})
+    return row | _figures(btf, runs, setting.quick) | ({"curve": runs[-1][0].report["curve"]} if with_curve else {})
 
 
 def _run(btf: Btf, entry: Entry, setting: Setting, curve: bool) -> tuple[FitResult, float | None]:
@@ -122,9 +124,9 @@ def _run(btf: Btf, entry: Entry, setting: Setting, curve: bool) -> tuple[FitResu
     return result, mark.taken_mb
 
 
-def _figures(btf: Btf, runs: list[tuple[FitResult, float | None]]) -> dict[str, Any]:
+def _figures(btf: Btf, runs: list[tuple[FitResult, float | None]], quick: bool) -> dict[str, Any]:
     result, report = runs[-1][0], runs[-1][0].report
-    report = report | evaluate_parts(btf, result.material, result.split, False)[0]
+    report = report | evaluate_parts(btf, result.material, result.split, False, quick)[0]
     seconds = [one.report["fit_seconds"] for one, _ in runs]
     memory = [taken for _, taken in runs[: max(1, len(runs) - 1)] if taken is not None]
     held_out, after = report["held_out"] or report["train"], report["held_out_after_export"] or {}

@@ -8,7 +8,8 @@ from typing import Any
 
 from torchmat import atomic
 from torchmat.btf import Btf, split_samples
-from torchmat.errors import RangeError, message
+from torchmat.errors import RangeError, check_option, message
+from torchmat.fitting.evaluate import MEASURES
 from torchmat.fitting.geometry import resolve_geometry
 from torchmat.fitting.recipe import RECIPES, Recipe
 from torchmat.fitting.recipes import resolve_options
@@ -48,7 +49,7 @@ _FILES = ("comparison.json", "comparison.csv", "comparison.html", *(f"{name}.png
 def compare(
     btf: Btf, models: Sequence[str] | None = None, *, budget: float | None = None, repeats: int = 1,
     geometry: Any = None, curves: bool = True, holdout: float = 0.2, holdout_by: str = "pair", seed: int = 0,
-    progress: bool | None = None, each: Callable[[list[dict[str, Any]]], Any] | None = None,
+    measure: str = "full", progress: bool | None = None, each: Callable[[list[dict[str, Any]]], Any] | None = None,
 ) -> list[dict[str, Any]]:
     """Fit each model on the same split; return a row each: error, bytes, seconds, memory, shading rate, full report.
 
@@ -69,6 +70,7 @@ def compare(
         holdout: share of the samples held out, in [0, 1).
         holdout_by: "pair", "light", "view" or "arc" (`split_samples`).
         seed: seed of the split and of the solvers, from 0.
+        measure: "full", errors on all held-out samples, or "quick", on some, about 2 million texels.
         progress: whether to show a bar; None shows it on a terminal.
         each: called with the rows so far after every model, so that a long comparison that is interrupted has lost nothing.
 
@@ -81,8 +83,9 @@ def compare(
         raise RangeError(message("compare", "budget", "be positive", f"it is {budget}", step))
     if not isinstance(repeats, int) or isinstance(repeats, bool) or repeats < 1:
         raise RangeError(message("compare", "repeats", "be a whole number of at least 1", f"it is {repeats!r}"))
+    check_option("compare", "measure", measure, MEASURES[1:])
     split_samples(btf, holdout, holdout_by, seed)  # what is wrong with the split is no model's failure
-    setting = Setting({"holdout": holdout, "holdout_by": holdout_by, "seed": seed}, budget, repeats, curves)
+    setting = Setting({"holdout": holdout, "holdout_by": holdout_by, "seed": seed}, budget, repeats, curves, measure == MEASURES[1])
     rows: list[dict[str, Any]] = []
     for entry in progress_bar(entries, "comparing", total=len(entries), show=progress):
         rows = mark_fronts([*rows, make_row(btf, entry, setting)])

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from torchmat.report.decisions_page import decision_rows, map_rows, outcome_text, shrinking_rows, wanted_text
-from torchmat.report.tables import error_rows, number, scene_rows
+from torchmat.report.tables import error_rows, measured_rows, number, scene_rows
 
 _STYLE = """
 body{font-family:system-ui,sans-serif;margin:2em auto;max-width:62em;padding:0 1em;color:#222}
@@ -71,6 +71,11 @@ def fit_page(report: dict[str, Any], pictures: Sequence[Path]) -> str:
         ["shading", f"{number(report['shade_mtexels_per_s'])} million texels a second"],
         ["stopped because", report["stop_reason"]],
     ]
+    if report.get("lambert"):
+        figures = report["lambert"]
+        facts += [["Lambert residual", figures["meaning"]], *(["warning", text] for text in figures["warnings"])]
+    facts += measured_rows(report)
+    facts += [["note", note] for note in source.get("notes", ())]
     body = [
         _table(*error_rows(report)),
         _table(["", ""], facts), *map(_figure, pictures), "<h2>By polar angle</h2>", _bands(report),

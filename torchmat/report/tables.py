@@ -120,7 +120,22 @@ def summary_table(report: dict[str, Any]) -> str:
         ["peak memory, MB", report["peak_rss_mb"]],
         ["stopped because", report["stop_reason"]],
     ]
-    return text_table(["", ""], rows)
+    if report.get("lambert"):
+        rows.append(["Lambert residual", report["lambert"]["meaning"]])
+    return text_table(["", ""], rows + measured_rows(report))
+
+
+def measured_rows(report: dict[str, Any]) -> list[list[Any]]:
+    """Return on how many images the figures of each part stand, and SSIM and delta E on how much of how many."""
+    rows = []
+    for name in ("train", "held_out"):
+        part = report.get(name) or {}
+        if "perceptual_samples" in part:
+            size, whole = part["perceptual_size"], [report["source"]["height"], report["source"]["width"]]
+            where = "" if size == whole else f", the middle {size[0]} x {size[1]} texels"
+            what = f"{part['samples']} images; SSIM and delta E: {part['perceptual_samples']}{where}"
+            rows.append([f"measured on, {name.replace('_', ' ')}", what])
+    return rows
 
 
 def scene_rows(report: dict[str, Any]) -> list[list[Any]]:

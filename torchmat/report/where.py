@@ -30,7 +30,7 @@ def difference_map(material: Material, btf: Btf, indices: Tensor) -> Tensor:
     for rows in indices.split(max(1, _VALUES // (3 * btf.height * btf.width))):
         prediction = predict(material, btf, rows)
         target, valid = btf.images(rows, prediction.dtype), btf.valid(rows)
-        clipped = btf.clipped(rows) & (target >= btf.clip_level)
+        clipped = btf.saturated(rows, target)
         prediction = torch.where(clipped, torch.minimum(prediction, target), prediction)
         squared = (colour.display(prediction) - colour.display(target)).double().square()
         valid = valid.expand_as(squared)

@@ -131,10 +131,11 @@ class Examiner:
     def _read(self, texels: Tensor | None) -> list[_Batch]:
         btf, batches = self._btf, []
         for part in self._rows.split(max(1, _VALUES // (3 * btf.height * btf.width))):
-            target, valid, clipped = btf.images(part), btf.valid(part), btf.clipped(part)
+            target, valid = btf.images(part), btf.valid(part)
+            clipped = btf.saturated(part, target)
             if texels is not None:  # before all else: what is left is few
                 target, valid, clipped = (_chosen(each, texels) for each in (target, valid, clipped))
-            planes = [target, display(target), valid.expand_as(target), clipped & (target >= btf.clip_level)]
+            planes = [target, display(target), valid.expand_as(target), clipped]
             directions = [direction[part][:, :, None, None].float() for direction in (btf.light, btf.view)]
             batches.append(_Batch(*directions, *planes))
         return batches if texels is None else [_Batch(*(torch.cat(planes) for planes in zip(*batches, strict=True)))]
