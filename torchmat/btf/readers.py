@@ -23,7 +23,7 @@ from torchmat.btf.names import UBO2003, UTIA
 from torchmat.btf.reader import DTYPES, READERS, Pixels, Reader, register_reader
 from torchmat.btf.source import File, Folder, Zip
 from torchmat.btf.stereo import STEREO
-from torchmat.errors import DataError, check_option, message
+from torchmat.errors import DataError, message
 
 _UNIT_TOLERANCE = 1e-3
 _ROUNDED = 0.01  # what rounding to two decimals may do to a length

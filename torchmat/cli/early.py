@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from torchmat.cli.arguments import SAMPLE
-from torchmat.cli.known import CONFIG_KEYS, OPTIONS
+from torchmat.cli.known import CONFIG_KEYS, known_options
 from torchmat.errors import DataError, check_known_keys, check_option, message
 from torchmat.shipped import find_file, shipped_names
 from torchmat.text_file import read_toml
@@ -44,26 +44,27 @@ def check_there(path: str | Path | None) -> None:
 def check_model(name: str, settings: Iterable[str] = ()) -> None:
     """Raise RangeError or DataError for a model, a config, or settings such as ``residual=half`` that there are not."""
     table: dict[str, Any] = {"model": name}
+    models = known_options()
     if Path(name).suffix or len(Path(name).parts) > 1:
         path = find_file(name)
         table = read_toml(path, "the config")
         check_known_keys(str(path), table, CONFIG_KEYS)
         name = str(table.get("model", "phong_srf"))
-        check_option(str(path), "model", name, OPTIONS)
+        check_option(str(path), "model", name, models)
     else:
-        check_option("fit", "model", name, (*OPTIONS, *shipped_names()))
+        check_option("fit", "model", name, (*models, *shipped_names()))
     options = table.get("options", {})
     if isinstance(options, dict):
-        check_known_keys(f"fit {name}", options, OPTIONS[name])
+        check_known_keys(f"fit {name}", options, models[name])
     for text in settings:
         key = text.partition("=")[0].strip()
         if key == "model":
             name = text.partition("=")[2].strip().strip("\"'")
-            check_option("fit", "model", name, OPTIONS)
+            check_option("fit", "model", name, models)
         elif key.startswith("options."):
-            check_known_keys(f"fit {name}", [key.removeprefix("options.")], OPTIONS[name])
+            check_known_keys(f"fit {name}", [key.removeprefix("options.")], models[name])
         elif "." not in key:
-            check_known_keys("--set", [key], (*CONFIG_KEYS, *OPTIONS[name]))
+            check_known_keys("--set", [key], (*CONFIG_KEYS, *models[name]))
 
 
 def _nearest(path: Path) -> str:

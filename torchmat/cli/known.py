@@ -5,6 +5,8 @@ What stands here is told to the user and decides nothing; a test holds it to the
 
 from __future__ import annotations
 
+import sys
+
 CONFIG_KEYS = (
     "model", "options", "holdout", "holdout_by", "seed", "geometry", "tiles", "target", "tile_size", "memory_mb", "data",
 )
@@ -26,3 +28,9 @@ OPTIONS: dict[str, tuple[str, ...]] = {
     "neural": ("latent", "hidden", "layers", "effort", "storage", "solver", "objective"),
     "auto": (),
 }
+
+
+def known_options() -> dict[str, tuple[str, ...]]:
+    """Return the options of each model: as they stand here, or where the package is loaded those of all registered ones."""
+    loaded = sys.modules.get("torchmat.fitting.recipe")
+    return OPTIONS if loaded is None else {**OPTIONS, **{name: tuple(one.options) for name, one in loaded.RECIPES.items()}}

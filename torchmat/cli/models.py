@@ -16,11 +16,11 @@ class Models:
     """One model; left out, all are listed."""
 
     def check_names(self) -> None:
-        from torchmat.cli.known import OPTIONS
+        from torchmat.cli.known import known_options
         from torchmat.errors import check_option
 
         if self.name is not None:
-            check_option("models", "name", self.name, [name for name in OPTIONS if name != "auto"])
+            check_option("models", "name", self.name, [name for name in known_options() if name != "auto"])
 
     def run(self) -> None:
         from torchmat.fitting.describe import describe_model, describe_models
