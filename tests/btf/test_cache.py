@@ -191,7 +191,7 @@ def test_options_that_change_the_pixels_have_a_store_each(tmp_path, root):
 
 
 @pytest.mark.parametrize(
-    "options", [{"encoding": "linear"}, {"exposure": 3.0}, {"clipped_weight": 1.0}, {"views": [0]}]
+    "options", [{"exposure": 3.0}, {"clipped_weight": 1.0}, {"views": [0]}]
 )
 def test_options_that_leave_the_pixels_share_one(tmp_path, root, options):
     folder = put_btf(tmp_path / "d")
@@ -325,7 +325,7 @@ def test_a_failed_load_leaves_no_store_and_the_old_one_alone(tmp_path, root, pac
 
 @pytest.mark.parametrize("stop", [KeyboardInterrupt, MemoryError])
 def test_an_interrupted_load_leaves_nothing(tmp_path, root, monkeypatch, stop):
-    def interrupted(_):
+    def interrupted(*_):
         raise stop
 
     monkeypatch.setattr(pixels_module, "read_image", interrupted)

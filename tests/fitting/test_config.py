@@ -107,6 +107,11 @@ views = [1]
 invalid = "mask"
 duplicates = "keep"
 normalise = true
+light_table = "lights.lp"
+ball = "balls"
+circle = [10.5, 12, 8]
+intensities = "estimate"
+skip_bad_lights = true
 clipped_weight = 0
 """
     assert set(load_config(write(tmp_path, text)).data) == set(DATA_KEYS)

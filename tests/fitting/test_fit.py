@@ -24,7 +24,7 @@ REPORT_KEYS = {
     "shade_mtexels_per_s", "peak_rss_mb", "stop_reason", "train", "held_out", "held_out_after_export", "versions",
 }
 EXTRA_KEYS = {
-    "target", "data", "curve", "holdout", "holdout_by", "geometry", "tiles", "shared_bytes", "coverage", "source", "figures",
+    "target", "data", "curve", "holdout", "holdout_by", "geometry", "tiles", "shared_bytes", "coverage", "source", "figures", "lambert",
 }
 FIGURES = {"mse", "relative_error", "psnr_db", "psnr_log_db", "ssim", "delta_e"}
 OPTIONS = {
@@ -116,7 +116,7 @@ def test_what_was_not_measured_says_so_and_what_to_do(btf):
     report = pickle.loads(pickle.dumps(tm.fit(btf, "texture", measure=False).report))
     for part in ("train", "held_out", "held_out_after_export"):
         assert not report[part] and report[part].get("psnr_db") is None
-        with pytest.raises(NotMeasuredError, match="measure=False left the errors out. Leave measure out, or measure now"):
+        with pytest.raises(NotMeasuredError, match="measure='none' left the errors out. Leave measure out, or measure now"):
             report[part]["relative_error"]
         with pytest.raises(KeyError):
             report[part]["psnr_db"]

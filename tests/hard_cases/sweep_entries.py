@@ -331,6 +331,7 @@ ENTRIES: dict[str, Entry | str] = {
         gradient_scale="largest",
     ),
     "geometry.photometric_stereo.find_highlight": "searches a picture",
+    "geometry.photometric_stereo.shading_weights": "an iteration from ranks: photometric_stereo",
     "geometry.from_photographs.relief_from_photographs": "a chain of the others",
     "geometry.from_photographs.relief_from_stereo": "a chain of the others",
     "geometry.from_photographs.relief_from_picture": "a chain of the others",

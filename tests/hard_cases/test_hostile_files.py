@@ -315,7 +315,7 @@ def test_an_exr_however_it_is_written(tmp_path, attributes):
 
 @pytest.mark.parametrize("attributes", [
     {"compression": "none"}, {"compression": "lzw"}, {"compression": "zip"}, {"tiff:planarconfig": "separate"},
-    {"tiff:RowsPerStrip": 1}, {"tiff:bigtiff": 1}, {"Orientation": 6},
+    {"tiff:RowsPerStrip": 1}, {"tiff:bigtiff": 1},
 ])
 def test_a_tiff_however_it_is_written(tmp_path, attributes):
     pixels = random_codes(3, (9, 7, 3), "uint16")
