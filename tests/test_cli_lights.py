@@ -90,7 +90,8 @@ def test_lights_of_a_ball_are_written_for_again(tmp_path, capsys):
     assert "ball.lp: the file must be a new one; it is there already" in capsys.readouterr().err
     assert run("geometry", folder, "--ball", ball, "--circle", 40, 24, 12, "--out", tmp_path / "wrong") == 2
     assert re.search(r"ball \d+.png", capsys.readouterr().err) and not (tmp_path / "wrong").exists()
-    assert run("info", folder, *given, "--no-plot", "--write-lights", tmp_path / "nowhere" / "x.lp") == 2
+    assert run("info", folder, *given, "--no-plot", "--write-lights", tmp_path / "new" / "x.lp") == 0
+    assert (tmp_path / "new" / "x.lp").read_bytes() == (tmp_path / "ball.lp").read_bytes()
 
 
 def test_bad_lights_are_skipped_on_request(tmp_path, capsys):
