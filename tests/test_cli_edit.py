@@ -93,7 +93,7 @@ def test_refit_refuses_before_the_work(data, tmp_path, capsys):
         ((painted, "--keep", "difuse"), "keep must be one of 'diffuse', 'normal', 'specular'; it is 'difuse'. Did you mean"),
         ((painted, "--out", painted), f"refit: --out must be another than the material; both are {painted}"),
         ((painted, "--crop", 0, 0, 3, 3), "material must be 3 x 3 as the images; it is 6 x 6"),
-        ((tmp_path / "none",), "none/manifest.json: the manifest must exist"),
+        ((tmp_path / "none",), "none: the path must exist; there is nothing"),
     ):
         given = (*arguments, "--data", data, *(() if "--out" in arguments else ("--out", tmp_path / "out")))
         assert run("refit", *given) == 2
