@@ -12,8 +12,9 @@ from torch import Tensor
 from torchmat.btf.decode import Decoder, resolve_encoding
 from torchmat.btf.listing import is_image, natural
 from torchmat.btf.pixels import split_channels
+from torchmat.channels import rgb_of_xyz
 from torchmat.errors import DataError, ShapeError, message
-from torchmat.images import read_image
+from torchmat.images import read_picture
 
 
 def image_files(folder: str | Path) -> list[Path]:
@@ -30,9 +31,13 @@ def image_files(folder: str | Path) -> list[Path]:
 def read_linear(path: str | Path, encoding: str = "auto") -> Tensor:
     """Return one picture [3, H, W], float32, linear; grey becomes three equal channels, alpha is dropped.
 
-    `encoding` "auto" follows the picture's colour profile.
+    `encoding` "auto" follows the picture's colour profile. CIE XYZ, by the names of the channels or the `encoding` "xyz",
+    becomes linear Rec. 709 RGB.
     """
-    codes = np.ascontiguousarray(split_channels(read_image(path, by_profile=encoding == "auto"), str(path))[0])
+    pixels, xyz = read_picture(path, by_profile=encoding == "auto")
+    codes = np.ascontiguousarray(split_channels(pixels, str(path))[0])
+    if xyz or encoding == "xyz":
+        codes, encoding = rgb_of_xyz(str(path), codes.astype(np.float32) if xyz else codes), "linear"
     decoder = Decoder(codes.dtype, resolve_encoding(encoding, codes.dtype), 1.0)
     return decoder.into(codes, torch.empty(codes.shape))
 

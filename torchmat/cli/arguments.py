@@ -21,7 +21,7 @@ class DataArguments:
     kind: str | None = None
     """manifest, rti, ubo2003, utia, stereo, or another reader's name; found from the content when left out."""
     encoding: str | None = None
-    """auto, srgb or linear."""
+    """auto, srgb, linear, or xyz: CIE XYZ under D65, even where the channels are called R, G, B."""
     exposure: float | None = None
     """The factor the photographs were exposed with; values are divided by it."""
     crop: tuple[int, int, int, int] | None = None

@@ -45,7 +45,7 @@ class Create:
     tiles: bool = False
     """Picture only: it repeats; textures of a set always do."""
     encoding: str = "auto"
-    """Picture only: auto, srgb or linear."""
+    """Picture only: auto, srgb, linear or xyz."""
     seed: int = 0
     """Picture only: seed of the search for its colours."""
     lobes: int = 3

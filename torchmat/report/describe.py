@@ -40,6 +40,10 @@ def _polar_range(directions: Tensor) -> str:
     return f"{len(directions)}, polar {float(polar.min()):.1f} to {float(polar.max()):.1f} degrees"
 
 
+def _read_as(btf: Btf) -> str:
+    return "linear RGB, from CIE XYZ" if btf.source.xyz else btf.encoding
+
+
 def describe_btf(btf: Btf) -> str:
     """Return a table: kind, samples, directions, size, range, clipped share, how full the grid of pairs is."""
     low, high = btf.value_range
@@ -53,7 +57,7 @@ def describe_btf(btf: Btf) -> str:
         ["lights", _polar_range(btf.lights)],
         ["views", _polar_range(btf.views)],
         ["pairs covered", f"{len(btf)} of {grid} ({100 * len(btf) / grid:.1f} %)"],
-        ["stored as", f"{btf.stored_dtype}, read as {btf.encoding}, exposure {number(btf.exposure)}"],
+        ["stored as", f"{btf.stored_dtype}, read as {_read_as(btf)}, exposure {number(btf.exposure)}"],
         ["linear range", f"{number(low)} to {number(high)}"],
         ["clipped share", f"{100 * btf.clipped_share:.4g} %"],
         ["invalid share", f"{100 * btf.invalid_share:.4g} %"],
