@@ -34,7 +34,7 @@ from torchmat.btf.store import PixelStore
 from torchmat.errors import DataError, RangeError, message
 from torchmat.text_file import read_text
 
-_FORMAT = 4
+_FORMAT = 5
 _HEADER, _TABLE, _PIXELS, _FLAGS = "header.json", "table.npz", "pixels.raw", "flags.raw"
 _STORE_NAME = re.compile("[0-9a-f]{24}")
 _SPOT_BYTES = 8_000_000  # of a cached store are held against its table; more would be felt on each load
