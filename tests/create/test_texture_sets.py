@@ -9,6 +9,7 @@ from tests.create.test_from_textures import LIGHT, VIEW, bump, folder_of, maps, 
 from tests.support import assert_close, shared_path
 
 from torchmat import colour
+from torchmat.cli import main
 from torchmat.create import material_from_textures
 from torchmat.create.texture_names import kind_of
 from torchmat.create.textures import find_textures, read_textures
@@ -224,3 +225,26 @@ def test_names_without_a_colour(tmp_path):
     write_image((tmp_path / "x_nor_gl_2k.png"), np.zeros((2, 2, 3), np.uint8))
     with pytest.raises(DataError, match="hold a colour texture; it holds normalgl"):
         find_textures(tmp_path)
+
+
+def test_info_and_create_say_what_is_read_from_what(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    planes = textures(0.03)
+    folder = put(tmp_path / "wall", {
+        "wall_diff_2k.png": planes["Color"], "wall_disp_2k.png": planes["Displacement"], "wall_nor_2k.png": planes["NormalGL"],
+        "wall_arm_2k.png": torch.rand(3, 16, 24), "wall_emission_2k.png": planes["Color"], "wall.png": planes["Color"],
+    })
+    assert main(["info", str(folder)]) == 0
+    told = capsys.readouterr().out
+    table = [[cell.strip() for cell in line.strip("|").split("|")] for line in told.splitlines() if line.startswith("|")]
+    rows = {row[0]: row[1:] for row in table}
+    assert rows["displacement"][:3] == ["wall_disp_2k.png", "16 x 24", "1 x uint16"]
+    assert [float(end) for end in rows["displacement"][3:]] == pytest.approx([0, 1], abs=0.02)
+    assert rows["metalness"][0] == "wall_arm_2k.png, blue"
+    assert "left out   wall_emission_2k.png (emission: torchmat has no place for it)" in told and "ignored    wall.png" in told
+    assert main(["create", str(folder), "--out", "made", "--no-pictures"]) == 0
+    told = capsys.readouterr().out
+    assert "normal: read as OpenGL's" in told and "height: white lies 0.03 texture widths over black" in told
+    write(folder / "wall_wetness.png", planes["Roughness"])
+    assert main(["info", str(folder)]) == 2
+    assert "wall_wetness.png does not. Rename" in capsys.readouterr().err

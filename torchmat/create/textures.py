@@ -49,6 +49,11 @@ class TextureSet:
             return None
         return self.planes(found, "auto" if kind == "color" else "linear")
 
+    def notes(self) -> list[str]:
+        """Return a line for each file that no map is read from, with the reason."""
+        left_out = [f"left out   {name} ({why})" for name, why in sorted(self.left_out.items())]
+        return left_out + [f"ignored    {name}" for name in self.ignored]
+
     def planes(self, texture: Texture, encoding: str) -> Tensor:
         """Return what a texture holds as [3, H, W], read in an encoding."""
         path, channel = texture
@@ -71,6 +76,17 @@ class TextureSet:
                 path, channel = self.files[kind]
                 found.append((kind, path.name + ("" if channel is None else f", {letters[channel]}")))
         return found
+
+
+def is_texture_set(folder: str | Path) -> bool:
+    """Return whether names in a folder tell a colour and another map, and no table there tells of photographs' lights."""
+    if not os.path.isdir(folder):
+        return False
+    paths = [path for path in Path(folder).iterdir() if path.is_file()]
+    if any(path.name == "manifest.csv" or path.suffix.lower() == ".lp" for path in paths):
+        return False
+    kinds = {kind_of(path.stem) for path in paths if path.suffix.lower() in IMAGE_SUFFIXES}
+    return "color" in kinds and len(kinds & {*KINDS, *PACKED, "bump"}) > 1
 
 
 def find_textures(folder: str | Path) -> TextureSet:
