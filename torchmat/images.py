@@ -79,13 +79,11 @@ def _check_channels(path: str | Path, names: tuple[str, ...]) -> None:
 
 
 def read_image(path: str | Path, by_profile: bool = False) -> np.ndarray:
-    """Return the pixels of an image file as [H, W, C] in the type they are stored in, whatever its channels mean.
+    """Return the pixels of an image file as [H, W, C] in the type they are stored in, turned as its EXIF orientation says.
 
-    Turned as its EXIF orientation says.
-
-    uint8, uint16, float16 and float32 come through unchanged, anything else as float32. `by_profile` converts colours that
-    have an ICC profile to sRGB (`torchmat.icc.converted`). Raises DataError, which names the file, when it cannot be read
-    to its end.
+    What its channels mean is not asked (`read_picture` does). uint8, uint16, float16 and float32 come through unchanged,
+    anything else as float32. `by_profile` converts colours that have an ICC profile to sRGB (`torchmat.icc.converted`).
+    Raises DataError, which names the file, when it cannot be read to its end.
     """
     pixels, spec, profile = _read(path)
     if spec is not None:
