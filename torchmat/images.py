@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, BinaryIO, NamedTuple
 import numpy as np
 
 from torchmat import atomic, icc
+from torchmat.channels import channel_order
 from torchmat.errors import DataError, RangeError, ShapeError, message
 
 if TYPE_CHECKING:
@@ -70,12 +71,9 @@ def _as_stored() -> ImageSpec:
     return wish
 
 
-def _check_channels(path: str | Path, source: ImageInput) -> None:
+def _check_channels(path: str | Path, names: tuple[str, ...]) -> None:
     """Raise DataError when an EXR has some of R, G and B but not all: the others would move into their places."""
-    if source.format_name() != "openexr" or source.spec().nchannels < 3:
-        return
-    names = source.spec().channelnames
-    if 0 < len({"R", "G", "B"} & set(names)) < 3:
+    if len(names) >= 3 and 0 < len({"R", "G", "B"} & set(names)) < 3:
         fact = f"they are {', '.join(map(repr, names))}"
         raise DataError(message(str(path), "channels", "include R, G and B, or none of them", fact, "Save it as RGB."))
 
@@ -83,18 +81,43 @@ def _check_channels(path: str | Path, source: ImageInput) -> None:
 def read_image(path: str | Path, by_profile: bool = False) -> np.ndarray:
     """Return the pixels of an image file as [H, W, C] in the type they are stored in, turned as its EXIF orientation says.
 
-    uint8, uint16, float16 and float32 come through unchanged, anything else as float32. `by_profile` converts colours that
-    have an ICC profile to sRGB (`torchmat.icc.converted`). Raises DataError, which names the file, when it cannot be read
-    to its end.
+    What its channels mean is not asked (`read_picture` does). uint8, uint16, float16 and float32 come through unchanged,
+    anything else as float32. `by_profile` converts colours that have an ICC profile to sRGB (`torchmat.icc.converted`).
+    Raises DataError, which names the file, when it cannot be read to its end.
     """
+    pixels, spec, profile = _read(path)
+    if spec is not None:
+        _check_channels(path, spec.channelnames)
+    return icc.converted(str(path), pixels, profile) if by_profile and profile else pixels
+
+
+def read_picture(path: str | Path, by_profile: bool = False) -> tuple[np.ndarray, bool]:
+    """Return a picture as [H, W, C], grey or three colours and perhaps alpha, and whether the colours are CIE XYZ.
+
+    As `read_image` otherwise. Raises DataError, which names the file, too when it is an EXR of other channels, or of
+    several pictures: only one of them would be seen.
+    """
+    pixels, spec, profile = _read(path)
+    if spec is None:
+        return icc.converted(str(path), pixels, profile) if by_profile and profile else pixels, False
+    parts = spec.getattribute("oiio:subimages") or 1
+    if parts > 1:
+        step = "Save the one that is meant by itself."
+        raise DataError(message(str(path), "the image", "hold one picture", f"it holds {parts} parts", step))
+    order, xyz = channel_order(path, spec.channelnames)
+    pixels = pixels[:, :, order] if order != list(range(len(order))) else pixels
+    return icc.converted(str(path), pixels, profile) if by_profile and profile and not xyz else pixels, xyz
+
+
+def _read(path: str | Path) -> tuple[np.ndarray, ImageSpec | None, bytes]:
+    """Return the pixels of a file, of an EXR, whose channels have names of their own, what its head says, and its profile."""
     import OpenImageIO as oiio
 
     source = oiio.ImageInput.open(_file_name(path), _as_stored())
     if source is None:
         raise _unreadable(path, _reason(oiio))
     try:
-        _check_channels(path, source)
-        tags = _tags(source)
+        spec, tags = source.spec() if source.format_name() == "openexr" else None, _tags(source)
         pixels = source.read_image(oiio.UNKNOWN)
         if source.has_error or pixels is None:
             raise _unreadable(path, _reason(source))
@@ -108,7 +131,7 @@ def read_image(path: str | Path, by_profile: bool = False) -> np.ndarray:
         pixels = pixels[:, :, None]
     pixels = pixels if pixels.dtype.name in _WRITABLE else pixels.astype(np.float32)
     pixels = pixels if tags.orientation == 1 else np.ascontiguousarray(_TURNS[tags.orientation](pixels))
-    return icc.converted(str(path), pixels, tags.profile) if by_profile and tags.profile else pixels
+    return pixels, spec, tags.profile
 
 
 class Tags(NamedTuple):

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from tests.brdf.files import merl_bytes, rgl_fields, write_tensor_file
 
-from torchmat.brdf import AnalyticBrdf, tabulate, write_merl
+from torchmat.brdf import AnalyticBrdf, is_brdf_file, tabulate, write_merl
 from torchmat.errors import DataError
-from torchmat.report.describe import describe_brdf, is_brdf
+from torchmat.report.describe import describe_brdf
 
 
 def rows_of(text: str) -> dict[str, str]:
@@ -50,10 +50,10 @@ def test_files_of_the_rgl_kind(tmp_path):
 def test_a_damaged_file_is_reported_as_what_its_name_says(tmp_path):
     path = tmp_path / "short.binary"
     path.write_bytes(merl_bytes(np.ones((3, 2, 2, 2)))[:-1])
-    assert is_brdf(path)
+    assert is_brdf_file(path)
     with pytest.raises(DataError, match="short.binary.*head promises"):
         describe_brdf(path)
     (tmp_path / "table.dat").write_bytes(merl_bytes(np.ones((3, 2, 2, 2))))
-    assert is_brdf(tmp_path / "table.dat")
+    assert is_brdf_file(tmp_path / "table.dat")
     (tmp_path / "lights.lp").write_text("3\n")
-    assert not is_brdf(tmp_path / "lights.lp") and not is_brdf(tmp_path) and not is_brdf(tmp_path / "absent.bsdf")
+    assert not is_brdf_file(tmp_path / "lights.lp") and not is_brdf_file(tmp_path) and not is_brdf_file(tmp_path / "absent.bsdf")

@@ -39,6 +39,8 @@ def put_image(path: Path, pixels: np.ndarray, **attributes: object) -> Path:
     height, width, channels = pixels.shape
     spec = oiio.ImageSpec(width, height, channels, _TYPES[pixels.dtype.name])
     spec.attribute("oiio:UnassociatedAlpha", 1)
+    if channels == 2 and path.suffix == ".exr":
+        spec.channelnames = ("Y", "A")
     for name, value in attributes.items():
         spec.attribute(name, value)
     target = oiio.ImageOutput.create(str(path))

@@ -328,7 +328,7 @@ def test_an_interrupted_load_leaves_nothing(tmp_path, root, monkeypatch, stop):
     def interrupted(*_):
         raise stop
 
-    monkeypatch.setattr(pixels_module, "read_image", interrupted)
+    monkeypatch.setattr(pixels_module, "read_picture", interrupted)
     with pytest.raises(stop):
         load_btf(zipped(put_btf(tmp_path / "d")))
     assert stores(root) == []

@@ -106,7 +106,8 @@ def test_directx_normals_are_turned_over(tmp_path):
     planes = textures()
     gl = made(tmp_path / "gl", planes, height_scale=0.0)["normal"]
     planes["NormalDX"] = torch.stack((planes["NormalGL"][0], 1 - planes["NormalGL"][1], planes["NormalGL"][2]))
-    assert find_textures(folder_of(tmp_path / "both", planes)).ignored == ("Made 001_1K_NormalDX.png",)
+    both = find_textures(folder_of(tmp_path / "both", planes))
+    assert both.left_out == {"Made 001_1K_NormalDX.png": "normaldx: normalgl says it"}
     del planes["NormalGL"]
     assert_close(made(tmp_path / "dx", planes, height_scale=0.0)["normal"], gl, 1e-4)
 
@@ -202,12 +203,14 @@ def test_names_in_any_case_and_format_and_the_rest_is_ignored(tmp_path):
     planes = textures()
     write(folder / "x_COLOR.jpg", planes["Color"], np.uint8)
     write(folder / "x_roughness.EXR", planes["Roughness"], np.float32)
-    write(folder / "x_Opacity.png", planes["Roughness"])
+    write(folder / "x_Emission.png", planes["Roughness"])
+    write(folder / "x.png", planes["Color"])
     (folder / "readme_Color.txt").write_text("not a texture", encoding="utf-8")
     (folder / "x.usda").write_text("nor this", encoding="utf-8")
     found = find_textures(folder)
     assert set(found.files) == {"color", "roughness"}
-    assert found.ignored == ("readme_Color.txt", "x.usda", "x_Opacity.png")
+    assert found.ignored == ("readme_Color.txt", "x.png", "x.usda")
+    assert found.left_out == {"x_Emission.png": "emission: torchmat has no place for it"}
     assert set(material_from_textures(folder).maps) == {"diffuse", "fresnel", "index", "specular"}
 
 

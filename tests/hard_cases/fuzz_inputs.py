@@ -5,9 +5,11 @@ Each function writes into an empty folder and returns what is to be read: the fo
 
 from __future__ import annotations
 
+import gzip
 import json
 import os
 import struct
+import zipfile
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
@@ -22,6 +24,7 @@ from tests.rendering.mesh_files import SQUARE, SQUARE_UV, TWO, glb_of, put_obj, 
 
 import torchmat as tm
 from torchmat.geometry import Relief
+from torchmat.images import write_image
 from torchmat.material_io.packing import pack
 from torchmat.material_io.relief_folder import save_relief
 from torchmat.models.storage import StoredAs
@@ -194,6 +197,34 @@ def relief_putter(depth: str) -> Put:
 def put_lights(folder: Path) -> Path:
     (folder / "lights.txt").write_text("# x y z\n0 0 1\n0.6 0 0.8\n0 -0.6 0.8\n-0.6 0 0.8\n")
     return folder / "lights.txt"
+
+
+def put_xyz(folder: Path) -> Path:
+    write_image(folder / "a.exr", random_codes(1, (16, 16, 3), "float16"), ("X", "Y", "Z"))
+    return folder / "a.exr"
+
+
+def put_merl_gz(folder: Path) -> Path:
+    (folder / "a.binary.gz").write_bytes(gzip.compress(put_merl(folder).read_bytes(), mtime=0))
+    (folder / "a.binary").unlink()
+    return folder / "a.binary.gz"
+
+
+def put_merl_zip(folder: Path) -> Path:
+    with zipfile.ZipFile(folder / "a.zip", "w") as archive:
+        archive.writestr("a.binary", put_merl(folder).read_bytes())
+    (folder / "a.binary").unlink()
+    return folder / "a.zip"
+
+
+def put_vendors_textures(folder: Path) -> Path:
+    """Write a set with packed channels, a normal map of unknown kind, a colour with alpha and a preview."""
+    for number, (name, channels) in enumerate((("diff", 4), ("nor", 3), ("arm", 3), ("disp", 1))):
+        codes = random_codes(number, (4, 4, channels))
+        codes[..., -1] = codes[..., -1] // 4 + 190
+        put_image(folder / f"wall_1_{name}_2k.png", codes)
+    put_image(folder / "wall_1.png", random_codes(9, (4, 4, 3)))
+    return folder
 
 
 def put_textures(folder: Path) -> Path:

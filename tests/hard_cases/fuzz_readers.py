@@ -12,8 +12,8 @@ import torch
 from tests.btf.files import directions_of
 from tests.hard_cases.fuzz_inputs import (
     Put, image_putter, material_putter, mesh_putter, named_putter, put_cached, put_config, put_distribution,
-    put_gltf, put_lights, put_manifest, put_merl, put_packed, put_rti, put_small, put_textures, put_volume,
-    put_zip, relief_putter, rgl_putter,
+    put_gltf, put_lights, put_manifest, put_merl, put_merl_gz, put_merl_zip, put_packed, put_rti, put_small, put_textures,
+    put_vendors_textures, put_volume, put_xyz, put_zip, relief_putter, rgl_putter,
 )
 from tests.rendering.mesh_files import assert_frames_hold
 
@@ -211,6 +211,7 @@ READERS = [
         Reader(f"image, {name}", image_putter(*form), _read_image, exact=_CHECKED if "png" in name else ("cut",))
         for name, form in _IMAGES.items()
     ],
+    Reader("image, XYZ exr", put_xyz, _read_image, exact=("cut",)),
     Reader("environment picture", image_putter("hdr", "float32"), _read_environment),
     *[Reader(f"material, {name}", put, _read_material, exact=("cut",)) for name, put in _MATERIALS.items()],
     Reader("packed material", put_packed, lambda path: _sound(unpack(path)), exact=("cut",)),
@@ -218,6 +219,10 @@ READERS = [
     Reader(".bsdf, isotropic", rgl_putter(1), _read_brdf, exact=("cut",)),
     Reader(".bsdf, anisotropic", rgl_putter(5), _read_brdf, exact=("cut",)),
     Reader("MERL .binary", put_merl, _read_brdf, exact=("cut",)),
+    Reader("MERL .binary.gz", put_merl_gz, _read_brdf, exact=_CHECKED),
+    Reader("MERL, zip", put_merl_zip, _read_brdf, exact=_CHECKED),
+    Reader("MERL as a BTF", put_merl, _read_btf, exact=("cut",)),
+    Reader(".bsdf as a BTF", rgl_putter(5), _read_btf, exact=("cut",)),
     Reader("config", put_config, _read_config, names_key=True),
     *[Reader(f"mesh, {kind}", mesh_putter(kind), _read_mesh, exact=("cut",) if kind in ("ply", "stl", "glb") else ())
       for kind in ("obj", "ply", "ply_ascii", "stl", "stl_ascii", "glb", "off")],
@@ -226,5 +231,6 @@ READERS = [
     Reader("height, float", image_putter("exr", "float32", 1), _read_height, exact=("cut",)),
     Reader("light directions", put_lights, _read_lights),
     Reader("texture set", put_textures, _read_textures, exact=_CHECKED),
+    Reader("texture set, packed", put_vendors_textures, _read_textures, by_name=True),
 ]
 BY_NAME = {reader.name: reader for reader in READERS}

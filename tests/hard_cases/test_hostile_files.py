@@ -17,7 +17,7 @@ from tests.rendering.mesh_files import SQUARE, SQUARE_UV, TWO, glb_of, put_obj, 
 from tests.support import assert_close
 
 from torchmat import DataError, RangeError, load_brdf, load_btf, load_config, load_material
-from torchmat.brdf import AnalyticBrdf, brdf_kind
+from torchmat.brdf import AnalyticBrdf, brdf_kind, is_brdf_file
 from torchmat.btf.light_table import read_lights
 from torchmat.btf.photographs import read_linear
 from torchmat.btf.readers import open_source
@@ -27,7 +27,7 @@ from torchmat.images import read_image, write_image
 from torchmat.material_io.folder import check_target
 from torchmat.material_io.packing import DESCRIPTION, pack, unpack
 from torchmat.rendering.mesh import load_mesh
-from torchmat.report.describe import is_brdf, is_material
+from torchmat.report.describe import is_material
 from torchmat.text_file import read_json, read_text
 
 DEEP = "[" * 100_000
@@ -254,7 +254,7 @@ def test_a_target_with_a_name_that_no_file_can_have(tmp_path):
 
 @pytest.mark.parametrize("name", [LONG, LONG + ".3pm", "a\0b"])
 def test_asking_what_a_name_is_never_fails(name):
-    assert not is_material(name) and not is_brdf(name) and brdf_kind(name) is None
+    assert not is_material(name) and not is_brdf_file(name) and brdf_kind(name) is None
 
 
 def _lost_number(manifest):

@@ -10,6 +10,8 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from torchmat.channels import XYZ_TO_RGB
+
 # Relative power of the CIE standard illuminant D65 every 10 nm from 380 to 780 nm (ISO/CIE 11664-2).
 _D65 = (
     49.98, 54.65, 82.75, 91.49, 93.43, 86.68, 104.86, 117.01, 117.81, 114.86, 115.92, 108.81, 109.35, 107.80,
@@ -22,12 +24,6 @@ _LOBES = (
     ((0.362, 442.0, 0.0624, 0.0374), (1.056, 599.8, 0.0264, 0.0323), (-0.065, 501.1, 0.0490, 0.0382)),
     ((0.821, 568.8, 0.0213, 0.0247), (0.286, 530.9, 0.0613, 0.0322)),
     ((1.217, 437.0, 0.0845, 0.0278), (0.681, 459.0, 0.0385, 0.0725)),
-)
-# IEC 61966-2-1: XYZ to linear sRGB.
-_TO_RGB = (
-    (3.2404542, -1.5371385, -0.4985314),
-    (-0.9692660, 1.8760108, 0.0415560),
-    (0.0556434, -0.2040259, 1.0572252),
 )
 
 
@@ -64,7 +60,7 @@ def rgb_weights(wavelengths: Tensor) -> Tensor:
     gaps[1:] += wavelengths.diff() / 2
     gaps[:-1] += wavelengths.diff() / 2
     xyz = matching_functions(wavelengths) * d65(wavelengths) * gaps
-    weights = torch.tensor(_TO_RGB, dtype=wavelengths.dtype) @ xyz
+    weights = torch.tensor(XYZ_TO_RGB, dtype=wavelengths.dtype) @ xyz
     total = weights.sum(dim=1, keepdim=True)
     if len(wavelengths) < 3 or bool((total <= 1e-3 * weights.abs().sum(dim=1, keepdim=True)).any()):
         span = f"{float(wavelengths[0]):g} to {float(wavelengths[-1]):g} nm" if len(wavelengths) else "none"

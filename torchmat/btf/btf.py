@@ -33,6 +33,7 @@ class Source:
     load_seconds: float = 0.0
     from_cache: bool = False
     notes: tuple[str, ...] = ()
+    xyz: bool = False
 
 
 def unique_directions(directions: Tensor) -> tuple[Tensor, Tensor]:

@@ -34,7 +34,7 @@ from torchmat.btf.store import PixelStore
 from torchmat.errors import DataError, RangeError, message
 from torchmat.text_file import read_text
 
-_FORMAT = 4
+_FORMAT = 5
 _HEADER, _TABLE, _PIXELS, _FLAGS = "header.json", "table.npz", "pixels.raw", "flags.raw"
 _STORE_NAME = re.compile("[0-9a-f]{24}")
 _SPOT_BYTES = 8_000_000  # of a cached store are held against its table; more would be felt on each load
@@ -81,7 +81,7 @@ def _write(source: File | Folder | Zip, listing: Listing, folder: Path, options:
     """Decode every sample of `listing` into a store in `folder`."""
     names = [f"{source.path}: {name}" for name in listing.files]
     with open_pixels(source, listing) as images:
-        normalise = Normaliser(images.shape, images.dtype, options, names[0])
+        normalise = Normaliser(images, options, names[0])
         shape = (len(names), *normalise.out_shape)
         _require_space(folder, math.prod(shape) * normalise.out_dtype.itemsize)
         pixels = np.memmap(folder / _PIXELS, normalise.out_dtype, "w+", shape=shape)
@@ -94,8 +94,8 @@ def _write(source: File | Folder | Zip, listing: Listing, folder: Path, options:
     header = {
         "format": _FORMAT, "fingerprint": source.fingerprint, "kind": listing.kind, "source": str(source.path),
         "shape": shape, "dtype": normalise.out_dtype.name, "table": zlib.crc32((folder / _TABLE).read_bytes()),
-        "linear": options.downscale > 1, "flagged": bool(table["clipped"].any() or table["invalid"].any()),
-        "notes": listing.notes,
+        "linear": options.downscale > 1 or normalise.xyz, "xyz": normalise.xyz,
+        "flagged": bool(table["clipped"].any() or table["invalid"].any()), "notes": listing.notes,
     }
     (folder / _HEADER).write_text(json.dumps({**header, "checksum": _checksum_of(header)}))
 
@@ -120,6 +120,7 @@ class OpenStore:
     store: PixelStore
     listing: Listing
     linear: bool
+    xyz: bool
     from_cache: bool
 
 
@@ -149,7 +150,7 @@ def _open(folder: Path, fingerprint: str) -> OpenStore | None:
     light, view = torch.from_numpy(arrays["light"]), torch.from_numpy(arrays["view"])
     intensity = torch.from_numpy(arrays["intensity"]) if "intensity" in arrays else None
     listing = Listing(header["kind"], tuple(arrays["files"].tolist()), light, view, intensity, tuple(header["notes"]))
-    return OpenStore(store, listing, header["linear"], True)
+    return OpenStore(store, listing, header["linear"], header["xyz"], True)
 
 
 def _matches_table(store: PixelStore, checksums: np.ndarray) -> bool:

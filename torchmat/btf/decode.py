@@ -8,13 +8,16 @@ from torch import Tensor
 
 from torchmat import colour
 
-ENCODINGS = ("auto", "srgb", "linear")
+ENCODINGS = ("auto", "srgb", "linear", "xyz")
 
 
 def resolve_encoding(encoding: str, stored: np.dtype) -> str:
-    """Return "srgb" or "linear": "auto" means sRGB for integer codes and linear for floating point."""
+    """Return "srgb" or "linear": "auto" means sRGB for integer codes and linear for floating point.
+
+    CIE XYZ is linear too; that it is turned into RGB comes before (`torchmat.channels`).
+    """
     if encoding != "auto":
-        return encoding
+        return "linear" if encoding == "xyz" else encoding
     return "srgb" if np.issubdtype(stored, np.integer) else "linear"
 
 

@@ -62,9 +62,10 @@ def load_btf(
     Args:
         path: a folder, a zip, or a file that a registered reader takes; the ``manifest.csv`` or ``light_directions.txt`` itself
             means its folder, an ``.lp`` file this one table, with photographs in its folder or else in the one above.
-        kind: "ubo2003", "utia", "manifest", "rti", "stereo" or the name of another reader (`register_reader`); None finds it from the
+        kind: "ubo2003", "utia", "manifest", "rti", "stereo", "brdf" or the name of another reader (`register_reader`); None finds it from the
             content.
-        encoding: "srgb" or "linear"; "auto" reads integer files as sRGB and floating-point files as linear.
+        encoding: "srgb", "linear" or "xyz"; "auto" reads integer files as sRGB, floating-point files as linear, and EXR
+            files with the channels X, Y, Z as CIE XYZ under D65. XYZ becomes linear Rec. 709 RGB.
         exposure: factor that the images were exposed with, above 0; values are divided by it.
         crop: (top, left, height, width) in texels; None is all.
         downscale: whole factor, at least 1, averaged in linear light; rows and columns left over are dropped.
@@ -100,7 +101,8 @@ def load_btf(
         crop=_crop(crop),
         downscale=_whole("downscale", downscale),
         invalid=invalid,
-        encoding=encoding if downscale > 1 else "auto",  # without averaging the codes are stored as they are
+        # Without averaging the codes are stored as they are, but for XYZ, whose channels belong together.
+        encoding=encoding if downscale > 1 or encoding == "xyz" else "auto",
         by_profile=encoding == "auto",
     )
     if kind is not None:
@@ -120,7 +122,7 @@ def load_btf(
     stored = store.pixels.dtype
     decoder = Decoder(stored, "linear" if opened.linear else resolve_encoding(encoding, stored), float(exposure))
     seconds = time.perf_counter() - start
-    origin = Source(listing.kind, str(path), listing.files, seconds, opened.from_cache, listing.notes)
+    origin = Source(listing.kind, str(path), listing.files, seconds, opened.from_cache, listing.notes, opened.xyz)
     intensity = None if listing.intensity is None else listing.intensity.float()
     btf = Btf(store, listing.light.float(), listing.view.float(), decoder, origin, clipped_weight, intensity)
     return with_estimated_intensities(btf) if estimate else btf

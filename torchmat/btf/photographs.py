@@ -12,8 +12,9 @@ from torch import Tensor
 from torchmat.btf.decode import Decoder, resolve_encoding
 from torchmat.btf.listing import is_image, natural
 from torchmat.btf.pixels import split_channels
+from torchmat.channels import rgb_of_xyz
 from torchmat.errors import DataError, ShapeError, message
-from torchmat.images import read_image
+from torchmat.images import read_picture
 
 
 def image_files(folder: str | Path) -> list[Path]:
@@ -30,9 +31,25 @@ def image_files(folder: str | Path) -> list[Path]:
 def read_linear(path: str | Path, encoding: str = "auto") -> Tensor:
     """Return one picture [3, H, W], float32, linear; grey becomes three equal channels, alpha is dropped.
 
-    `encoding` "auto" follows the picture's colour profile.
+    `encoding` "auto" follows the picture's colour profile. CIE XYZ, by the names of the channels or the `encoding` "xyz",
+    becomes linear Rec. 709 RGB.
     """
-    codes = np.ascontiguousarray(split_channels(read_image(path, by_profile=encoding == "auto"), str(path))[0])
+    return read_with_alpha(path, encoding)[0]
+
+
+def read_with_alpha(path: str | Path, encoding: str = "auto") -> tuple[Tensor, Tensor | None, int]:
+    """Return a picture as `read_linear` does, its alpha [1, H, W] or None, and how many channels its file has."""
+    pixels, xyz = read_picture(path, by_profile=encoding == "auto")
+    codes, alpha = split_channels(pixels, str(path))
+    codes = np.ascontiguousarray(codes)
+    if xyz or encoding == "xyz":
+        codes, encoding = rgb_of_xyz(str(path), codes.astype(np.float32) if xyz else codes), "linear"
+    if alpha is not None:
+        alpha = _decoded(np.ascontiguousarray(alpha[None]), "linear")
+    return _decoded(codes, encoding), alpha, pixels.shape[2]
+
+
+def _decoded(codes: np.ndarray, encoding: str) -> Tensor:
     decoder = Decoder(codes.dtype, resolve_encoding(encoding, codes.dtype), 1.0)
     return decoder.into(codes, torch.empty(codes.shape))
 

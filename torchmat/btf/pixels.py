@@ -17,9 +17,10 @@ from torchmat.btf.listing import Listing
 from torchmat.btf.reader import Pixels
 from torchmat.btf.source import File, Folder, Zip
 from torchmat.btf.store import CLIPPED, INVALID
+from torchmat.channels import rgb_of_xyz
 from torchmat.errors import DataError, ShapeError, message
 from torchmat.icc import read_profile
-from torchmat.images import read_image, read_tags
+from torchmat.images import read_picture, read_tags
 from torchmat.progress import progress
 
 CHUNK = 64  # images that one thread decodes in a go; smaller tasks spend their time in hand-over
@@ -55,13 +56,18 @@ def split_channels(pixels: np.ndarray, where: str) -> tuple[np.ndarray, np.ndarr
 
 
 class Normaliser:
-    """Brings the `window` (rows, columns) of a decoded image to codes [3, H, W] and flags [H, W]."""
+    """Brings the `window` (rows, columns) of a decoded image to codes [3, H, W] and flags [H, W]; `xyz` to RGB."""
 
-    def __init__(self, shape: tuple[int, int, int], dtype: np.dtype, options: PixelOptions, where: str) -> None:
+    def __init__(self, images: Pixels, options: PixelOptions, where: str) -> None:
+        shape, dtype = images.shape, images.dtype
         self.options = options
-        self.decoder = Decoder(dtype, resolve_encoding(options.encoding, dtype), 1.0)
+        self.xyz = images.xyz or options.encoding == "xyz"
+        encoding = "linear" if self.xyz else resolve_encoding(options.encoding, dtype)
+        self.decoder = Decoder(dtype, encoding, 1.0)
         height, width, channels = shape
-        split_channels(np.empty((0, 0, channels), dtype), where)
+        nothing, _ = split_channels(np.empty((0, 0, channels), dtype), where)
+        if self.xyz:
+            rgb_of_xyz(where, nothing)  # refused before anything is read
         self.window = self._window(height, width, where)
         rows, columns = (axis.stop - axis.start for axis in self.window)
         factor = options.downscale
@@ -90,7 +96,7 @@ class Normaliser:
             # Turned round, so that an alpha of NaN counts as none.
             flags[~(alpha >= (0.5 if self.decoder.full_code is None else self.decoder.full_code / 2))] = INVALID
         if self.decoder.full_code is None:
-            codes = self._finite(codes, flags, where)
+            codes = self._finite(rgb_of_xyz(where, codes) if self.xyz else codes, flags, where)
         return self._shrink(codes, flags) if self.options.downscale > 1 else (codes, flags)
 
     def _finite(self, codes: np.ndarray, flags: np.ndarray, where: str) -> np.ndarray:
@@ -116,11 +122,11 @@ class Normaliser:
         return mean, worst
 
 
-def read_pixels(source: Folder | Zip, name: str) -> np.ndarray:
-    """Return the pixels [H, W, C] of one file of `source`; raises DataError, which names the file."""
+def read_pixels(source: Folder | Zip, name: str) -> tuple[np.ndarray, bool]:
+    """Return the pixels [H, W, C] of one file of `source`, and whether they are XYZ; an error names the file."""
     with source.file(name) as path:
         try:
-            return read_image(path, source.by_profile)
+            return read_picture(path, source.by_profile)
         except DataError as error:
             # A file from a zip is opened under a scratch name, which would mean nothing to the reader.
             raise DataError(str(error).replace(str(path), f"{source.path}: {name}")) from error
@@ -146,19 +152,23 @@ def tag_notes(source: File | Folder | Zip, listing: Listing) -> list[str]:
 
 def images_of_files(source: Folder | Zip, listing: Listing) -> Pixels:
     """Return the pixels of image files, which must have one size, channel count and depth."""
-    first = read_pixels(source, listing.files[0])
+    first, first_xyz = read_pixels(source, listing.files[0])
 
     def read(samples: range, rows: slice, columns: slice) -> Iterator[np.ndarray]:
         for sample in samples:
             name = listing.files[sample]
-            pixels = read_pixels(source, name)
+            pixels, xyz = read_pixels(source, name)
+            if xyz != first_xyz:
+                fact = f"its channels are {'X, Y, Z' if xyz else 'none of X, Y, Z'} and the first image's are not"
+                step = "Bring all images to one colour space."
+                raise DataError(message(f"{source.path}: {name}", "the image", "match the others", fact, step))
             if pixels.shape != first.shape or pixels.dtype != first.dtype:
                 fact = f"it is {pixels.shape} {pixels.dtype}, the first image is {first.shape} {first.dtype}"
                 step = "Bring all images to one size, channel count and bit depth."
                 raise ShapeError(message(f"{source.path}: {name}", "the image", "match the others", fact, step))
             yield pixels[rows, columns]
 
-    return Pixels(first.shape, first.dtype, read, parallel=True)
+    return Pixels(first.shape, first.dtype, read, parallel=True, xyz=first_xyz)
 
 
 def checksum(codes: np.ndarray, flags: np.ndarray) -> int:

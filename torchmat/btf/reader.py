@@ -29,7 +29,7 @@ class Pixels:
     whole numbers are codes, sRGB unless the user says otherwise, floating-point values are linear light.
     ``read(samples, rows, columns)`` takes a range of samples and two slices of texels without a step, and gives
     [n, h, w, C], as an array or one image after another. `close` is called at the end. `parallel` says that several
-    threads may read at once.
+    threads may read at once. `xyz` says that the values are CIE XYZ under D65, which become linear RGB.
     """
 
     shape: tuple[int, int, int]
@@ -37,6 +37,7 @@ class Pixels:
     read: Callable[[range, slice, slice], Iterable[np.ndarray]]
     close: Callable[[], None] = _nothing
     parallel: bool = False
+    xyz: bool = False
 
     @classmethod
     def of(cls, images: Any, close: Callable[[], None] = _nothing) -> Pixels:

@@ -13,6 +13,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from torchmat.btf.brdf_file import BRDF
 from torchmat.btf.foreign import told, told_of_all
 from torchmat.btf.light_table import parse_intensities
 from torchmat.btf.listing import Listing, is_image
@@ -29,7 +30,7 @@ _UNIT_TOLERANCE = 1e-3
 _ROUNDED = 0.01  # what rounding to two decimals may do to a length
 _VARYING = 1.05  # lengths that differ more are those of positions
 
-for _reader in (MANIFEST, RTI, UBO2003, UTIA, STEREO):
+for _reader in (MANIFEST, RTI, UBO2003, UTIA, STEREO, BRDF):
     register_reader(_reader)
 
 

@@ -19,9 +19,9 @@ class DataArguments:
     no_cache: bool = False
     """Decode anew and leave nothing behind."""
     kind: str | None = None
-    """manifest, rti, ubo2003, utia, stereo, or another reader's name; found from the content when left out."""
+    """manifest, rti, ubo2003, utia, stereo, brdf, or another reader's name; found from the content when left out."""
     encoding: str | None = None
-    """auto, srgb or linear."""
+    """auto, srgb, linear, or xyz: CIE XYZ under D65, even where the channels are called R, G, B."""
     exposure: float | None = None
     """The factor the photographs were exposed with; values are divided by it."""
     crop: tuple[int, int, int, int] | None = None

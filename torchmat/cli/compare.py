@@ -18,7 +18,7 @@ class Compare:
     reads: ClassVar = ("data",)
 
     data: Annotated[str, tyro.conf.Positional] = SAMPLE
-    """Folder or zip of images; `sample` is the one that ships with the package."""
+    """Folder or zip of images, or a BRDF file; `sample` is the one that ships with the package."""
     models: list[str] = field(default_factory=list)
     """Names, with options after a colon: ptm hsh:terms=16 phong_srf:residual=half_light lambert:geometry=recover
     (default: all families, and all solvers of each)."""

@@ -11,14 +11,14 @@ import tyro
 
 @dataclass
 class Create:
-    """Make a material without a BTF: of one evenly lit picture, of a folder of PBR textures (ambientCG's names), of a
+    """Make a material without a BTF: of one evenly lit picture, of a folder of PBR textures, of a
     measured BRDF, or of photographs of a sphere."""
 
     reads: ClassVar = ("path",)
 
     path: Annotated[str, tyro.conf.Positional]
-    """A picture; a folder of textures: *_Color, *_Displacement, *_NormalGL, *_Roughness ...; a .binary or .bsdf file; or,
-    with --circle, a folder of photographs of a sphere."""
+    """A picture; a folder of textures, named as ambientCG, Poly Haven, FreePBR, Quixel, Substance, Poliigon and others name
+    them; a .binary or .bsdf file; or, with --circle, a folder of photographs of a sphere."""
     out: Path = Path("out")
     """Folder to write; an earlier material there is replaced."""
     height_scale: float | None = None
@@ -45,7 +45,7 @@ class Create:
     tiles: bool = False
     """Picture only: it repeats; textures of a set always do."""
     encoding: str = "auto"
-    """Picture only: auto, srgb or linear."""
+    """Picture only: auto, srgb, linear or xyz."""
     seed: int = 0
     """Picture only: seed of the search for its colours."""
     lobes: int = 3
@@ -82,9 +82,9 @@ class Create:
             print(f"material   {path}")
 
     def _make(self):
-        from torchmat.report.describe import is_brdf
+        from torchmat.brdf import is_brdf_file
 
-        if is_brdf(self.path):
+        if is_brdf_file(self.path):
             return self._from_brdf()
         if not Path(self.path).is_dir():
             return self._from_picture()
@@ -117,11 +117,11 @@ class Create:
         from torchmat.create import material_from_textures
         from torchmat.create.textures import find_textures
 
-        for name in find_textures(self.path).ignored:
-            print(f"ignored    {name}")
+        found = find_textures(self.path)
+        print("\n".join([f"{kind:16s} {file}" for kind, file in found.rows()] + found.notes()))
         return material_from_textures(
             self.path, lobes=self.lobes, height_scale=self.height_scale, occlusion=self.occlusion,
-            storage=self.storage or "png8",
+            storage=self.storage or "png8", say=print,
         )
 
     def _from_picture(self):

@@ -22,7 +22,7 @@ class Fit:
     """Name of a model with its defaults (`torchmat models` lists them; `auto` chooses), or with .toml a config: its path,
     or its name alone for one that ships, such as phong_srf_half_light.toml."""
     data: str = SAMPLE
-    """Folder or zip of images; `sample` is the one that ships with the package."""
+    """Folder or zip of images, or a BRDF file; `sample` is the one that ships with the package."""
     out: Path = Path("out")
     """Folder to write; an earlier material there is replaced."""
     set: Annotated[list[str], tyro.conf.UseAppendAction] = field(default_factory=list)

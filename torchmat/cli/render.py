@@ -115,11 +115,12 @@ class Render:
     def _load(self):
         from torchmat import load_brdf, load_material
         from torchmat.btf.interpolated import RawBtf
-        from torchmat.report.describe import is_brdf, is_material
+        from torchmat.brdf import is_brdf_file
+        from torchmat.report.describe import is_material
 
         if is_material(self.material):
             return load_material(self.material)
-        if is_brdf(self.material):
+        if is_brdf_file(self.material):
             return load_brdf(self.material)
         return RawBtf(self.read.load(self.material))
 

@@ -61,7 +61,7 @@ def material_from_picture(
 
 def assemble(maps: dict[str, Tensor], lobes: int, tiles: bool, storage: str) -> Distribution:
     """Return the material of these maps; its optional parts are those that are there."""
-    always = ("diffuse", "index", "specular", "height")
+    always = ("diffuse", "index", "specular", "height", "opacity")
     channels = len(maps["specular_mask"]) if "specular_mask" in maps else 1
     parts = [name for name in maps if name not in always]
     return Distribution(maps, lobes=lobes, parts=parts, mask_channels=channels, tiles=tiles, storage=storage)

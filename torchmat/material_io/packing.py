@@ -35,7 +35,7 @@ FORMAT, VERSION, DESCRIPTION = "torchmat-packed", 1, "packed.json"
 DEPTHS = (8, 16)
 _FILES = (
     DESCRIPTION, "normal_height.png", "normal.png", "rotation_mask_fresnel.png", "specular_mask.png", "diffuse.png",
-    "ambient.png", "index_*.png", "specular_maps.exr", "tilt.png", LOSS,
+    "ambient.png", "opacity.png", "index_*.png", "specular_maps.exr", "tilt.png", LOSS,
 )
 _Picture = Callable[..., Any]  # makes a texture of (map, values, names of its channels)
 _RGB = ("r", "g", "b")
@@ -156,6 +156,8 @@ def _textures(material: Material, depth: int) -> list[Packed]:
     colours = [name for name in ("diffuse", "ambient") if name in maps]
     found = [picture(f"{name}.png", (specs[name], maps[name], _RGB)) for name in colours]
     found += _shape(material, maps, picture) + _lookup(material, specs, maps, picture)
+    if "opacity" in maps:
+        found.append(picture("opacity.png", (specs["opacity"], maps["opacity"], ("opacity",))))
     if "index" in maps:
         for number, first in enumerate(range(0, len(maps["index"]), _PER_TEXTURE)):
             found.append(picture(f"index_{number + 1}.png", *_index_parts(specs["index"], maps["index"], first)))

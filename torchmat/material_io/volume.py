@@ -171,6 +171,9 @@ def _check_writable(material: Material, path: Path) -> None:
     if material.has_relief:
         step = "Save it as a folder, or save surface() without the height."
         raise RangeError(message(where, "the material", "be flat for a .3pm file", "it has a height map", step))
+    if "opacity" in material.maps:
+        step = "Save it as a folder, or save surface() without it."
+        raise RangeError(message(where, "the material", "be whole for a .3pm file", "it has an opacity map", step))
     slices = material.maps["slices"].detach()
     check_finite(where, "slices", slices)
     low, high = float(slices.min()), float(slices.max())

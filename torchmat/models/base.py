@@ -13,7 +13,7 @@ from torch import Tensor, nn
 from torchmat.errors import RangeError, ShapeError, about_map, check_known_keys, check_option, message
 from torchmat.geometry.rays import look_up
 from torchmat.models.cutout import Cutout
-from torchmat.models.relief_maps import RELIEF_MAPS, shade_points, shade_texels
+from torchmat.models.relief_maps import COMMON_MAPS, OPACITY, RELIEF_MAPS, covered, shade_points, shade_texels
 from torchmat.models.storable import Storable
 from torchmat.models.storage import STORAGES, MapSpec, StoredAs, check_map, check_stored
 from torchmat.repeatable import wide_product
@@ -22,9 +22,10 @@ from torchmat.repeatable import wide_product
 class Material(Storable):
     """A surface whose appearance is held by texture maps.
 
-    Subclasses add keyword options, kept in `options`, and implement `own_specs` and `value`. Every model may have two more
-    maps: `height` [1, H, W], in texture widths over the plane of the images, puts the surface on a relief with parallax and
-    shadow, and `ambient` [3, H, W] is the light that reaches a texel there by way of others.
+    Subclasses add keyword options, kept in `options`, and implement `own_specs` and `value`. Every model may have three
+    more maps: `height` [1, H, W], in texture widths over the plane of the images, puts the surface on a relief with
+    parallax and shadow, `ambient` [3, H, W] is the light that reaches a texel there by way of others, and `opacity`
+    [1, H, W], 0 to 1, cuts the surface out: it scales all values, and a hole is black, for what lies behind is not seen.
 
     Args:
         maps: the parameters by name: [C, H, W] per texel, [C, rows, columns] for shared tables, [C] for constants, with the
@@ -52,7 +53,7 @@ class Material(Storable):
         self.cutout = cutout
         self._check_cutout()
         self.options = options
-        self._parts = tuple(one for one in RELIEF_MAPS if one.name in maps)
+        self._parts = tuple(one for one in COMMON_MAPS if one.name in maps)
         specs = self.specs()
         check_known_keys(self.name, maps, [spec.name for spec in specs])
         if "ambient" in maps and "height" not in maps:
@@ -155,7 +156,9 @@ class Material(Storable):
         Raises ShapeError when the directions do not fit the maps.
         """
         self._check_directions(light, view)
-        return shade_texels(self, light, view) if self.has_relief else self._shade_flat(light, view)
+        if self.has_relief:
+            return shade_texels(self, light, view)
+        return covered(self.maps, self._shade_flat(light, view))
 
     def shade_at(self, uv: Tensor, light: Tensor, view: Tensor) -> Tensor:
         """Return the value [..., 3, h, w] at texture coordinates `uv` [2, h, w] of the plane of the images.
@@ -217,11 +220,11 @@ class Material(Storable):
     def on_relief(self, height: Tensor, ambient: Tensor | None = None) -> Self:
         """Return the material on a relief: `height` [1, H, W] in texture widths, `ambient` [3, H, W]."""
         parts = {"height": height} if ambient is None else {"height": height, "ambient": ambient}
-        own = {spec.name: self.maps[spec.name] for spec in self.own_specs()}
-        return self._like({**own, **parts})
+        kept = {spec.name: self.maps[spec.name] for spec in self.specs() if spec not in RELIEF_MAPS}
+        return self._like({**kept, **parts})
 
     def surface(self) -> Self:
-        """Return the material without its relief: what one texel does with its light."""
+        """Return the material without its relief and opacity: what one texel does with its light."""
         return self.sharing({spec.name: self.maps[spec.name] for spec in self.own_specs()})
 
     def from_surface(self, maps: Mapping[str, Tensor]) -> dict[str, Tensor]:
@@ -233,7 +236,8 @@ class Material(Storable):
 
         They are not checked: what is no longer finite shows in the result.
         """
-        return self._unchecked(dict(maps), _parts=(), stored={}, cutout=None)
+        parts = tuple(one for one in (OPACITY,) if one.name in maps)
+        return self._unchecked(dict(maps), _parts=parts, stored={}, cutout=None)
 
     def _unchecked(self, maps: dict[str, Tensor] | nn.ParameterDict, **fields: Any) -> Self:
         """Return a material that differs from this one in these maps and fields: neither checked nor copied."""

@@ -128,12 +128,12 @@ def _like(second: Material, first: Material, filter: str) -> Material:
 
 
 def _relief(first: Material, second: Material, weight: Tensor) -> dict[str, Tensor]:
-    """Return height and ambient in between; what neither has is left out, what one lacks is 0 there."""
+    """Return height, ambient and opacity in between; what neither has is left out, what one lacks is 0, or opaque, there."""
     found = {}
-    for name, channels in (("height", 1), ("ambient", 3)):
+    for name, channels, without in (("height", 1, 0.0), ("ambient", 3, 0.0), ("opacity", 1, 1.0)):
         if name not in first.maps and name not in second.maps:
             continue
-        nothing = torch.zeros(channels, *first.size, dtype=first.dtype)
+        nothing = torch.full((channels, *first.size), without, dtype=first.dtype)
         one, other = (side.maps[name].detach() if name in side.maps else nothing for side in (first, second))
         found[name] = mix(one, other, weight)
     return found

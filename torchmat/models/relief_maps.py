@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import torch
@@ -15,6 +16,11 @@ from torchmat.planes import common_lead
 HEIGHT = MapSpec("height", "height over the plane of the images, texture widths", layer_channels=1, storage="png16")
 AMBIENT = MapSpec("ambient", "light by way of other texels, for a light of 1", low=0.0, colour=True, linear=True)
 RELIEF_MAPS = (HEIGHT, AMBIENT)
+# Black where the surface is cut out: a value is the light that a texel sends, and a hole sends none.
+OPACITY = MapSpec(
+    "opacity", "share of a texel that the surface covers", layer_channels=1, low=0.0, high=1.0, fixed_range=True, fixed=True,
+)
+COMMON_MAPS = (*RELIEF_MAPS, OPACITY)
 _RAYS = ((-0.25, -0.25), (0.25, -0.25), (-0.25, 0.25), (0.25, 0.25))  # where in a texel its rays start
 
 
@@ -71,10 +77,16 @@ def shade_along(material, light: Tensor, view: Tensor, met: Rays) -> Tensor:
     shaded = material.surface().shade(light, view) * met.shadow
     if "ambient" in material.maps:
         shaded = shaded + material.maps["ambient"]
+    shaded = covered(material.maps, shaded)
     total = torch.zeros((), dtype=shaded.dtype)
     for end in met.ends:
         total = total + look_up(shaded, end[met.view], material.tiles, "bicubic")
     return (total / len(met.ends)).clamp(min=0)
+
+
+def covered(maps: Mapping[str, Tensor], value: Tensor) -> Tensor:
+    """Return a value [..., 3, H, W] of a surface as far as it covers its texels: times `opacity`, where there is one."""
+    return value * maps["opacity"] if "opacity" in maps else value
 
 
 def shade_points(material, uv: Tensor, light: Tensor, view: Tensor) -> Tensor:
@@ -94,6 +106,8 @@ def _shade_picture(material, uv: Tensor, light: Tensor, view: Tensor) -> Tensor:
     picture = material.surface().at(hit).shade(light, view) * soft_shadow(height, light, uv=hit, tiles=tiles)
     if "ambient" in material.maps:
         picture = picture + look_up(material.maps["ambient"][None], hit[None], tiles)[0]
+    if "opacity" in material.maps:
+        picture = picture * look_up(material.maps["opacity"][None], hit[None], tiles)[0]
     return torch.where(above, picture, torch.zeros((), dtype=picture.dtype))
 
 

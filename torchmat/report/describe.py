@@ -7,14 +7,16 @@ import os
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from torchmat import frames
-from torchmat.brdf import Brdf, MerlBrdf, RglBrdf, brdf_kind, load_brdf
+from torchmat.brdf import Brdf, MerlBrdf, RglBrdf, load_brdf
 from torchmat.brdf.albedo import albedo_of, values_over_lights
-from torchmat.brdf.load import SUFFIXES
 from torchmat.btf import Btf
+from torchmat.create.textures import find_textures
+from torchmat.images import read_picture
 from torchmat.material_io import load_material
 from torchmat.material_io.folder import MANIFEST
 from torchmat.material_io.volume import is_volume
@@ -30,14 +32,13 @@ def is_material(path: str | Path) -> bool:
     return os.path.isfile(Path(path) / MANIFEST) or (is_volume(path) and os.path.isfile(path))
 
 
-def is_brdf(path: str | Path) -> bool:
-    """Return whether `path` is a file of a measured BRDF, or is called like one (and then is reported if damaged)."""
-    return os.path.isfile(path) and (brdf_kind(path) is not None or Path(path).suffix.lower() in SUFFIXES)
-
-
 def _polar_range(directions: Tensor) -> str:
     polar = torch.rad2deg(frames.to_polar(directions.double())[0])
     return f"{len(directions)}, polar {float(polar.min()):.1f} to {float(polar.max()):.1f} degrees"
+
+
+def _read_as(btf: Btf) -> str:
+    return "linear RGB, from CIE XYZ" if btf.source.xyz else btf.encoding
 
 
 def describe_btf(btf: Btf) -> str:
@@ -53,7 +54,7 @@ def describe_btf(btf: Btf) -> str:
         ["lights", _polar_range(btf.lights)],
         ["views", _polar_range(btf.views)],
         ["pairs covered", f"{len(btf)} of {grid} ({100 * len(btf) / grid:.1f} %)"],
-        ["stored as", f"{btf.stored_dtype}, read as {btf.encoding}, exposure {number(btf.exposure)}"],
+        ["stored as", f"{btf.stored_dtype}, read as {_read_as(btf)}, exposure {number(btf.exposure)}"],
         ["linear range", f"{number(low)} to {number(high)}"],
         ["clipped share", f"{100 * btf.clipped_share:.4g} %"],
         ["invalid share", f"{100 * btf.invalid_share:.4g} %"],
@@ -80,6 +81,26 @@ def describe_material(path: str | Path) -> str:
         value = material.maps[spec.name].detach()
         maps.append([spec.name, spec.meaning, str(tuple(value.shape)), float(value.min()), float(value.max())])
     return text_table(["", ""], facts) + "\n\n" + text_table(["map", "meaning", "shape", "least", "largest"], maps)
+
+
+def describe_textures(path: str | Path) -> str:
+    """Return a table of a folder of textures: which file each map is read from, its size, depth and range; and the rest.
+
+    Ranges are those of the codes, 0 to 1, or of the numbers in a file of floating point. Raises DataError, which names
+    the file, as `find_textures` does.
+    """
+    found = find_textures(path)
+    rows = []
+    for kind, file in found.rows():
+        texture = found.files[kind]
+        pixels, _ = read_picture(texture.path)
+        values = pixels if texture.channel is None else pixels[:, :, texture.channel : texture.channel + 1]
+        full = np.iinfo(values.dtype).max if np.issubdtype(values.dtype, np.integer) else 1
+        span = [number(float(end) / full) for end in (values.min(), values.max())]
+        rows.append([kind, file, f"{pixels.shape[0]} x {pixels.shape[1]}", f"{pixels.shape[2]} x {pixels.dtype}", *span])
+    table = text_table(["map", "file", "size", "channels", "least", "largest"], rows)
+    lines = [f"textures   {path}", "", table, "", "torchmat create makes a material of them.", *found.notes()]
+    return "\n".join(lines)
 
 
 def _stored_text(name: str, stored: StoredAs) -> str:
