@@ -69,7 +69,7 @@ def test_fit_and_compare_take_lights_and_intensities(tmp_path, lights, capsys):
     assert run("fit", "lambert", "--data", folder, "--out", tmp_path / "out", "--no-pictures", *given) == 0
     assert "Lambert residual" in capsys.readouterr().out
     report = json.loads((tmp_path / "out" / "report.json").read_text("utf-8"))
-    assert report["held_out"]["relative_error"] < 0.01 and report["lambert"]["residual"] < 0.02
+    assert report["held_out"]["relative_error"] < 0.01 and report["lambertian"]["residual"] < 0.02
     assert report["data"]["light_table"] == str(lights) and len(report["source"]["lights_of"]) == 14
     assert run("fit", "lambert", "--data", folder, "--out", tmp_path / "not", "--no-pictures", "--lights", lights, "--measure", "none") == 0
     assert json.loads((tmp_path / "not" / "report.json").read_text("utf-8"))["held_out"] is None

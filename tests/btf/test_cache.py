@@ -325,7 +325,7 @@ def test_a_failed_load_leaves_no_store_and_the_old_one_alone(tmp_path, root, pac
 
 @pytest.mark.parametrize("stop", [KeyboardInterrupt, MemoryError])
 def test_an_interrupted_load_leaves_nothing(tmp_path, root, monkeypatch, stop):
-    def interrupted(_):
+    def interrupted(*_):
         raise stop
 
     monkeypatch.setattr(pixels_module, "read_image", interrupted)

@@ -89,7 +89,7 @@ def test_one_file_is_a_btf(toy, file):
 def test_without_the_reader_the_file_is_no_btf(file):
     with pytest.raises(DataError, match="wool.npz: the data must tell its directions"):
         tm.load_btf(file)
-    with pytest.raises(RangeError, match="kind must be one of 'manifest', 'rti', 'ubo2003', 'utia'; it is 'toy'"):
+    with pytest.raises(RangeError, match="kind must be one of 'manifest', 'rti', 'ubo2003', 'utia', 'stereo'; it is 'toy'"):
         tm.load_btf(file, kind="toy")
 
 

@@ -82,7 +82,7 @@ class Fit:
             print()
         print(fit_tables(result.report))
         print()
-        for text in (result.report["lambert"] or {}).get("warnings", ()):
+        for text in (result.report["lambertian"] or {}).get("warnings", ()):
             print(f"warning    {text}")
         print(f"material   {folder}")
         if choice:

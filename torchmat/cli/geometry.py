@@ -15,7 +15,7 @@ from torchmat.cli.arguments import DataArguments
 class Geometry:
     """Recover height and normals: from a BTF, from photographs of one view under known lights, or from one picture."""
 
-    reads: ClassVar = ("path", "lights", "ball")
+    reads: ClassVar = ("path",)
 
     path: Annotated[str, tyro.conf.Positional]
     """BTF or RTI capture, a folder of photographs with --lights or --ball, or one picture."""

@@ -158,7 +158,7 @@ def fit(
     ways = {"options": described(used), "geometry": task.geometry}
     figures = None if how == NONE else lambert_of(btf)
     report = {**_described(btf, config, fitted), **ways, "fit_seconds": seconds, **errors, "curve": watch.history}
-    report["lambert"] = figures and figures.report()
+    report["lambertian"] = figures and figures.report()
     if task.scene is not None:
         report["scene"] = scene_figures(btf, fitted, split, task.scene, config.tiles, how != NONE, progress)
     if work is not None:

@@ -71,8 +71,8 @@ def fit_page(report: dict[str, Any], pictures: Sequence[Path]) -> str:
         ["shading", f"{number(report['shade_mtexels_per_s'])} million texels a second"],
         ["stopped because", report["stop_reason"]],
     ]
-    if report.get("lambert"):
-        figures = report["lambert"]
+    if report.get("lambertian"):
+        figures = report["lambertian"]
         facts += [["Lambert residual", figures["meaning"]], *(["warning", text] for text in figures["warnings"])]
     facts += measured_rows(report)
     facts += [["note", note] for note in source.get("notes", ())]

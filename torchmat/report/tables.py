@@ -120,8 +120,8 @@ def summary_table(report: dict[str, Any]) -> str:
         ["peak memory, MB", report["peak_rss_mb"]],
         ["stopped because", report["stop_reason"]],
     ]
-    if report.get("lambert"):
-        rows.append(["Lambert residual", report["lambert"]["meaning"]])
+    if report.get("lambertian"):
+        rows.append(["Lambert residual", report["lambertian"]["meaning"]])
     return text_table(["", ""], rows + measured_rows(report))
 
 
