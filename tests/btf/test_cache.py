@@ -191,7 +191,7 @@ def test_options_that_change_the_pixels_have_a_store_each(tmp_path, root):
 
 
 @pytest.mark.parametrize(
-    "options", [{"exposure": 3.0}, {"clipped_weight": 1.0}, {"views": [0]}]
+    "options", [{"encoding": "linear"}, {"exposure": 3.0}, {"clipped_weight": 1.0}, {"views": [0]}]
 )
 def test_options_that_leave_the_pixels_share_one(tmp_path, root, options):
     folder = put_btf(tmp_path / "d")
