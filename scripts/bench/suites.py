@@ -9,6 +9,7 @@ from typing import Any
 import auto
 import compare
 import compiled
+import meshes
 import objects
 import reliefs
 import scale
@@ -210,6 +211,6 @@ SUITES = {
     "geometry": reliefs.geometry, "relief": reliefs.relief, "distribution": reliefs.distribution,
     "compiled": compiled.measure, "auto": auto.auto, "scale": scale.scale, "scene": scene.scene,
     "shading_maps": shading_maps.shading_maps,
-    "objects": objects.objects, "compare": compare.compare, "solvers": solvers.solvers,
+    "objects": objects.objects, "meshes": meshes.meshes, "compare": compare.compare, "solvers": solvers.solvers,
     "sphere_images": spheres.sphere_images, "sphere_sizes": spheres.sphere_sizes, "sphere_shading": spheres.sphere_shading,
 }
