@@ -10,6 +10,7 @@ import auto
 import busy
 import compare
 import compiled
+import meshes
 import objects
 import reliefs
 import scale
@@ -211,6 +212,6 @@ SUITES = {
     "geometry": reliefs.geometry, "relief": reliefs.relief, "distribution": reliefs.distribution,
     "compiled": compiled.measure, "auto": auto.auto, "scale": scale.scale, "scene": scene.scene,
     "shading_maps": shading_maps.shading_maps,
-    "objects": objects.objects, "compare": compare.compare, "solvers": solvers.solvers,
-    "busy": busy.busy, "sphere_images": spheres.sphere_images, "sphere_sizes": spheres.sphere_sizes, "sphere_shading": spheres.sphere_shading,
+    "objects": objects.objects, "meshes": meshes.meshes, "compare": compare.compare, "solvers": solvers.solvers, "busy": busy.busy,
+    "sphere_images": spheres.sphere_images, "sphere_sizes": spheres.sphere_sizes, "sphere_shading": spheres.sphere_shading,
 }

@@ -116,7 +116,8 @@ def test_a_sparse_accessor_without_a_view_is_zero_elsewhere(tmp_path):
     mesh = load_mesh(gltf.put(tmp_path, {"POSITION": 0}, gltf.accessor(TWO.reshape(-1), "u4")))
     assert np.array_equal(corners(mesh, "position"), SQUARE[TWO])
     sparse["indices"]["bufferView"] = gltf.view(np.array([1, 2, 4], "u1"))
-    assert_refused(gltf.put(tmp_path, {"POSITION": 0}, 1), "indices of the sparse part of accessor 0 must be below 4; one is 4")
+    words = "indices of the sparse part of accessor 0 must be below 4; one is 4"
+    assert_refused(gltf.put(tmp_path, {"POSITION": 0}, 1), words)
 
 
 @pytest.mark.parametrize(("mode", "numbers"), [(4, [0, 1, 2, 0, 2, 3]), (5, [1, 2, 0, 3]), (6, [0, 1, 2, 3])])
@@ -200,7 +201,12 @@ def test_the_scene_that_the_file_begins_with_counts(tmp_path):
     path.write_bytes(glb_of(parts, nodes, scenes=[], scene=0))
     assert load_mesh(path).bounds.tolist() == [[0, 0, 0], [21, 6, 1]]  # all roots, and what hangs from them
     path.write_bytes(glb_of(parts, [{"mesh": 0, "children": [1]}, {"children": [0]}], scenes=[{"nodes": [0]}]))
-    assert_refused(path, "node 0 must have one parent")
+    assert_refused(path, "nodes must hang from a root")
+    path.write_bytes(glb_of(parts, [{"children": [1, 2]}, {"children": [2]}, {"mesh": 0}], scenes=[{"nodes": [0]}]))
+    assert_refused(path, "node 2 must have one parent")
+    listed = [{"mesh": 0, "children": [1], "translation": [0, 0, 7]}, {"mesh": 0}]
+    path.write_bytes(glb_of(parts[:1], listed, scenes=[{"nodes": [1, 0]}]))
+    assert load_mesh(path).bounds[:, 2].tolist() == [7, 8]
 
 
 @pytest.mark.parametrize("uri", ["../a.bin", "/etc/hostname", "https://example.org/a.bin", "..%2fa.bin"])

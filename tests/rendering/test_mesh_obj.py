@@ -70,7 +70,8 @@ BLANKS = {
     "capital exponents": lambda text: text.replace("1.0", "+1.0E0"),
     "colours": lambda text: "".join(
         line + (" 0.5 0.5 0.25" if line.startswith("v ") else "") + "\n" for line in text.splitlines()),
-    "weights": lambda text: "".join(line + (" 1.0" if line[:2] in ("v ", "vt") else "") + "\n" for line in text.splitlines()),
+    "weights": lambda text: "".join(
+        line + (" 1.0" if line[:2] in ("v ", "vt") else "") + "\n" for line in text.splitlines()),
     "groups": lambda text: text.replace("f ", "g left\nusemtl red\ns 1\no \u00e9\nf ") + "l 1 2\np 1\n",
 }
 
@@ -100,7 +101,8 @@ def test_corners_without_texture_or_normal(tmp_path):
     normal = corners(mesh, "normal")
     assert np.allclose(normal[0], [0, 0.6, 0.8], atol=1e-7) and np.array_equal(normal[1], [[0, 0, 1]] * 3)
     assert np.array_equal(corners(mesh, "uv")[0], [[0, 0], [1, 0], [0, 1]])
-    for line, mapping in {"f 1//1 2//1 3//1": "box", "f 1/1/ 2/2/ 3/3/": "file", "f 1// 2// 3//": "box", "f 1/1 2/2 3/3": "file"}.items():
+    lines = {"f 1//1 2//1 3//1": "box", "f 1/1/ 2/2/ 3/3/": "file", "f 1// 2// 3//": "box", "f 1/1 2/2 3/3": "file"}
+    for line, mapping in lines.items():
         assert load_mesh(put(tmp_path, head + line + "\n")).mapping == mapping
 
 
@@ -113,7 +115,8 @@ def test_a_texture_of_one_number(tmp_path):
     ("f 1/1 2/2 3", "told alike; line 5 has others"), ("f /1 /2 /3", "a vertex each"), ("f 1/2/3/4 2 3", "a fourth number"),
     ("f 1.5 2 3", r"be whole numbers; line 5 has '1\.5 2 3'"), ("v 0 1,5 2", "must be numbers; line 5 has '0 1,5 2'"),
     ("v 0 0x10 2", "must be numbers; line 5 has"), ("vn 0 1", "numbers of a normal must be three; they are 2 in line 5"),
-    ("vt", "numbers of a texture coordinate must be one at least; they are 0 in line 5"), ("f 1 2", "three corners; line 5 has 2"),
+    ("vt", "numbers of a texture coordinate must be one at least; they are 0 in line 5"),
+    ("f 1 2", "three corners; line 5 has 2"),
 ])
 @pytest.mark.parametrize("block", [20, 1 << 23])
 def test_lines_that_cannot_be_read_are_named(line, words, block, tmp_path, monkeypatch):

@@ -65,6 +65,7 @@ class Fit:
         from torchmat.fitting import fit, load_config
         from torchmat.fitting.choice.choose import NOT_MET
         from torchmat.material_io import check_target
+        from torchmat.rendering.as_mesh import as_mesh
         from torchmat.rendering.scene_file import load_scene
         from torchmat.report import write_fit
         from torchmat.report.describe_mesh import mesh_line
@@ -74,9 +75,9 @@ class Fit:
         check_target(self.out)  # before the work, not after it
         config = load_config(self.model, [*self.set, *self._flags()]).read_as(self.read.keywords())
         scenes = [load_scene(path) for path in self.scene]
-        for scene in scenes:
-            if scene.mesh.mapping != "shape":
-                print(f"mesh       {mesh_line(scene.mesh)}")
+        for mesh in (as_mesh(scene.mesh) for scene in scenes):
+            if mesh.mapping != "shape":
+                print(f"mesh       {mesh_line(mesh)}")
         btf = self.read.load(self.data, config.data)
         result = fit(btf, config, work=self.work, scene=scenes or None, measure=self.measure)
         folder = write_fit(btf, result, self.out, pictures=not self.no_pictures)

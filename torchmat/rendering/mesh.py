@@ -199,7 +199,8 @@ def _check_numbers(triangles: Triangles, uv: str, where: str) -> None:
 def _normals(triangles: Triangles, position: np.ndarray, corner: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return unit normals [N, 3] and the row [F, 3] of each corner: the file's, computed where it has none or a zero."""
     given, rows = vertices.unit(triangles.normal), triangles.normal_of
-    missing = (rows == NONE) | ~given.any(axis=1)[rows] if len(given) else np.ones(rows.shape, dtype=bool)
+    nothing = np.asarray(~given.any(axis=1))
+    missing = (rows == NONE) | nothing[rows] if len(given) else np.ones(rows.shape, dtype=bool)
     if not missing.any():
         return given, rows
     computed, smooth = vertices.smooth_normals(position, triangles.faces, corner, np.deg2rad(CREASE_DEG))
@@ -212,7 +213,7 @@ def _coordinates(
     triangles: Triangles, position: np.ndarray, corner: np.ndarray, uv: str
 ) -> tuple[np.ndarray, np.ndarray, str]:
     """Return uv [T, 2], the row [F, 3] of each corner, and where they come from."""
-    textured = triangles.textured & (uv == "auto")
+    textured = triangles.textured if uv == "auto" else np.zeros(len(triangles.faces), dtype=bool)
     if textured.any() and not vertices.triangles_with_area(triangles.uv, triangles.uv_of[textured]).any():
         textured = np.zeros_like(textured)
     if textured.all():

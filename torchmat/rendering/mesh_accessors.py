@@ -37,11 +37,12 @@ class Accessors:
     def item(self, kind: str, number: object) -> dict[str, Any]:
         """Return one of the tree's lists' items, as {"accessors", 3} names it."""
         items = self._tree.get(kind, [])
-        whole = isinstance(number, int) and not isinstance(number, bool)
-        if not whole or not isinstance(items, list) or not 0 <= number < len(items) or not isinstance(items[number], dict):
-            count = len(items) if isinstance(items, list) else 0
-            raise self.error(f"number {number!r:.60} of its {kind}", "be there", f"there are {count}")
-        return items[number]
+        items = items if isinstance(items, list) else []
+        if isinstance(number, int) and not isinstance(number, bool) and 0 <= number < len(items):
+            item = items[number]
+            if isinstance(item, dict):
+                return item
+        raise self.error(f"number {number!r:.60} of its {kind}", "be there", f"there are {len(items)}")
 
     def error(self, what: str, requirement: str, fact: str, step: str = CHECK_FILE) -> DataError:
         """Return an error about the file."""
@@ -96,15 +97,15 @@ class Accessors:
 
     def _replaced(self, values: np.ndarray, sparse: object, what: str) -> np.ndarray:
         what = f"the sparse part of {what}"
-        parts = [sparse.get(key) if isinstance(sparse, dict) else None for key in ("indices", "values")]
-        if not all(isinstance(part, dict) for part in parts):
+        sparse = sparse if isinstance(sparse, dict) else {}
+        indices, replacing = sparse.get("indices"), sparse.get("values")
+        if not isinstance(indices, dict) or not isinstance(replacing, dict):
             raise self.error(what, "have indices and values", "it has not")
-        indices, replacing = parts
         count = self.whole(sparse, "count", None, what)
         component = indices.get("componentType")
         if component not in (5121, 5123, 5125):
             raise self.error(f"the indices of {what}", "be unsigned", f"componentType is {component!r:.60}")
-        offsets = [self.whole(part, "byteOffset", 0, what) for part in parts]
+        offsets = [self.whole(part, "byteOffset", 0, what) for part in (indices, replacing)]
         rows = self._strided(indices.get("bufferView"), offsets[0], count, 1, np.dtype(_TYPES[component]), what)[:, 0]
         if count and int(rows.max()) >= len(values):
             raise self.error(f"the indices of {what}", f"be below {len(values)}", f"one is {int(rows.max())}")
@@ -135,7 +136,7 @@ class Accessors:
         return np.ndarray((count, width), dtype, buffer, begin + offset, (stride, dtype.itemsize))
 
     def _buffer(self, view: dict[str, Any], name: str) -> bytes:
-        number = view.get("buffer")
+        number = view.get("buffer", -1)
         item = self.item("buffers", number)
         if number not in self._buffers:
             self._buffers[number] = self._bytes_of(number, item, view, name)

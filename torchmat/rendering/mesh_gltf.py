@@ -78,7 +78,8 @@ def _of_glb(data: bytes, where: str) -> tuple[dict[str, Any], bytes | None]:
     if version != 2:
         fact = f"it is of version {version}"
         raise DataError(message(where, "the mesh file", "be glTF 2.0", fact, "Export it as glTF 2.0."))
-    chunks, place = [], 12
+    chunks: list[tuple[int, int, int]] = []
+    place = 12
     while place + 8 <= length and len(chunks) < 2:
         size, kind = struct.unpack_from("<II", data, place)
         if place + 8 + size > length:
@@ -134,10 +135,14 @@ class _Scene:
         scenes, nodes = self._list(self._tree, "scenes", "the file"), self._list(self._tree, "nodes", "the file")
         if scenes:
             number = self._tree.get("scene", 0)
-            roots = self._list(self._accessors.item("scenes", number), "nodes", f"scene {number!r:.60}")
+            listed = self._list(self._accessors.item("scenes", number), "nodes", f"scene {number!r:.60}")
         else:
-            children = {child for node in nodes if isinstance(node, dict) for child in _hashable(node.get("children"))}
-            roots = [number for number in range(len(nodes)) if number not in children]
+            listed = list(range(len(nodes)))
+        # What hangs from another node of the scene is where that one puts it, though some files list both.
+        below = self._below(listed)
+        roots = [number for number in listed if number not in below]
+        if listed and not roots:
+            raise self._accessors.error("nodes", "hang from a root", "each of the scene's hangs from another")
         found, seen = [], set()
         waiting = [(number, np.eye(4)) for number in reversed(roots)]
         while waiting:
@@ -152,6 +157,19 @@ class _Scene:
                 self._check_instances(node, f"node {number}")
                 found.append((node["mesh"], transform))
             waiting += [(child, transform) for child in reversed(self._list(node, "children", f"node {number}"))]
+        return found
+
+    def _below(self, roots: list) -> set[int]:
+        """Return all nodes that hang from some nodes."""
+        found: set[int] = set()
+        waiting = list(roots)
+        while waiting:
+            number = waiting.pop()
+            for child in self._list(self._accessors.item("nodes", number), "children", f"node {number}"):
+                self._accessors.item("nodes", child)
+                if child not in found:
+                    found.add(child)
+                    waiting.append(child)
         return found
 
     def _check_instances(self, node: dict[str, Any], what: str) -> None:
@@ -191,7 +209,7 @@ class _Scene:
             raise self._accessors.error(f"{key} of {what}", "be finite", f"it is {given!r:.80}")
         return found
 
-    def parts(self, number: object) -> list[Triangles]:
+    def parts(self, number: Any) -> list[Triangles]:
         """Return the triangles of each primitive of a mesh."""
         mesh = self._accessors.item("meshes", number)
         if number not in self._parts:
@@ -200,7 +218,7 @@ class _Scene:
             self._parts[number] = [part for part in read if part is not None]
         return self._parts[number]
 
-    def _primitive(self, item: object, what: str) -> Triangles | None:
+    def _primitive(self, item: Any, what: str) -> Triangles | None:
         accessors = self._accessors
         attributes = item.get("attributes") if isinstance(item, dict) else None
         if not isinstance(attributes, dict):
@@ -262,7 +280,7 @@ class _Scene:
         names = (name if isinstance(name, str) and name else f"material {number}",)
         layers = material.get("pbrMetallicRoughness")
         textures = {**(layers if isinstance(layers, dict) else {}), **material}
-        texture = next((textures[key] for key in _TEXTURES if isinstance(textures.get(key), dict)), {})
+        texture: dict[str, Any] = next((textures[key] for key in _TEXTURES if isinstance(textures.get(key), dict)), {})
         extensions = texture.get("extensions")
         change = extensions.get(_TRANSFORM) if isinstance(extensions, dict) else None
         where = f"the texture of material {number}"
@@ -274,10 +292,6 @@ class _Scene:
         cosine, sine = math.cos(angle), math.sin(angle)
         matrix = np.array([[cosine * u, sine * v, x], [-sine * u, cosine * v, y], [0, 0, 1]])
         return f"TEXCOORD_{set_number}", matrix, names
-
-
-def _hashable(children: object) -> list:
-    return [child for child in children if isinstance(child, int)] if isinstance(children, list) else []
 
 
 def _faces(corners: np.ndarray, mode: int) -> np.ndarray:

@@ -49,7 +49,8 @@ def read_obj(data: bytes, where: str) -> Triangles | None:
     data = data.removeprefix(b"\xef\xbb\xbf")
     if b"\r" in data:
         data = data.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
-    materials = tuple(dict.fromkeys(name.decode("utf-8", "replace") for name in _MATERIAL.findall(data)))
+    named = _MATERIAL.findall(data) if b"usemtl" in data else []
+    materials = tuple(dict.fromkeys(name.decode("utf-8", "replace") for name in named))
     read = _Read(where)
     start = 0
     while start < len(data):
@@ -138,7 +139,7 @@ def _numbers(content: np.ndarray, kind: type, count: int) -> np.ndarray | None:
     with warnings.catch_warnings():
         warnings.simplefilter("error", DeprecationWarning)  # of what is no number; NumPy would stop there
         try:
-            found = np.fromstring(content.tobytes(), dtype=kind, sep=" ")
+            found: np.ndarray = np.fromstring(content.tobytes(), dtype=kind, sep=" ")
         except (DeprecationWarning, ValueError):
             return None
     return found if len(found) == count else None

@@ -145,7 +145,7 @@ class _Bytes:
         if any((rows[f"{name} sizes"] != rows[f"{name} sizes"][0]).any() for name in element.lists):
             self._at = before
             return None
-        return {name: rows[name].reshape(-1) for name in kind.names}
+        return {name: rows[name].reshape(-1) for name in kind.names or ()}
 
     def _one_by_one(self, element: _Element) -> dict[str, np.ndarray]:
         """Return the columns of rows of any length; only lists, for nothing else of a face is needed."""
@@ -228,9 +228,11 @@ class _Text:
 
 
 def _triangles(vertex: dict[str, np.ndarray], face: dict[str, np.ndarray], key: str, where: str) -> Triangles:
-    def columns(names: tuple[str, ...]) -> np.ndarray | None:
-        there = all(name in vertex for name in names)
-        return np.stack([np.asarray(vertex[name], np.float64) for name in names], axis=1) if there else None
+    def columns(names: tuple[str, ...]) -> np.ndarray:
+        return np.stack([np.asarray(vertex[name], np.float64) for name in names], axis=1)
+
+    def found(*choices: tuple[str, ...]) -> np.ndarray | None:
+        return next((columns(names) for names in choices if all(name in vertex for name in names)), None)
 
     position, sizes = columns(("x", "y", "z")), np.asarray(face[f"{key} sizes"], dtype=np.int64)
     if sizes.min() < 3:
@@ -247,7 +249,7 @@ def _triangles(vertex: dict[str, np.ndarray], face: dict[str, np.ndarray], key: 
     rows = triangulate(position, corners, sizes)
     faces = corners[rows]
     nothing = np.broadcast_to(np.int64(NONE), faces.shape)
-    normal, uv = columns(("nx", "ny", "nz")), next((found for found in map(columns, _UV) if found is not None), None)
+    normal, uv = found(("nx", "ny", "nz")), found(*_UV)
     uv_of = nothing if uv is None else faces
     wedges = face.get("texcoord")
     if wedges is not None and np.array_equal(face["texcoord sizes"], 2 * sizes):

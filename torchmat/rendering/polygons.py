@@ -87,7 +87,8 @@ def _ears(flat: np.ndarray, size: int) -> list[tuple[int, int, int]]:
         return (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
 
     reflex = {corner for corner in range(size) if bend(corner) <= _TURN}
-    triangles, there, fresh = [], [True] * size, True
+    triangles: list[tuple[int, int, int]] = []
+    there, fresh = [True] * size, True
     waiting, tries = deque(range(size)), _TRIES * size
     while len(triangles) < size - 3 and tries > 0:
         if not waiting:

@@ -34,7 +34,7 @@ class Triangles:
     @property
     def textured(self) -> np.ndarray:
         """Which triangles, bool [F], have texture coordinates at all three corners."""
-        return (self.uv_of != NONE).all(axis=1)
+        return np.asarray((self.uv_of != NONE).all(axis=1))
 
     def chosen(self, which: np.ndarray) -> Triangles:
         """Return the triangles that `which`, bool [F], marks, with the same tables."""

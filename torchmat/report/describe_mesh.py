@@ -68,9 +68,10 @@ def _size(mesh: Mesh) -> str:
 
 
 def _normals(triangles: Triangles) -> str:
-    given = (triangles.normal_of >= 0).all(axis=1)
+    given = np.asarray((triangles.normal_of >= 0).all(axis=1))
     if given.any():
-        given[given] = triangles.normal.any(axis=1)[triangles.normal_of[given]].all(axis=1)
+        there = np.asarray(triangles.normal.any(axis=1))
+        given[given] = there[triangles.normal_of[given]].all(axis=1)
     computed = f"computed, smooth but for edges above {CREASE_DEG:g} degrees"
     if given.all():
         return "the file's"
