@@ -10,7 +10,7 @@ import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path, PurePosixPath
-from typing import BinaryIO
+from typing import IO, BinaryIO
 
 from torchmat.errors import DataError, message
 
@@ -73,10 +73,7 @@ def unpacked(path: str | Path) -> Iterator[Path]:
 def _unpack(path: Path, name: str | None, target: BinaryIO) -> None:
     count = 0
     try:
-        if name is None:
-            opened = gzip.open(path)
-        else:
-            opened = zipfile.ZipFile(path).open(name)
+        opened: IO[bytes] | gzip.GzipFile = gzip.open(path) if name is None else zipfile.ZipFile(path).open(name)
         with opened as stream:
             while piece := stream.read(_PIECE):
                 count += len(piece)

@@ -44,9 +44,8 @@ def read_with_alpha(path: str | Path, encoding: str = "auto") -> tuple[Tensor, T
     codes = np.ascontiguousarray(codes)
     if xyz or encoding == "xyz":
         codes, encoding = rgb_of_xyz(str(path), codes.astype(np.float32) if xyz else codes), "linear"
-    if alpha is not None:
-        alpha = _decoded(np.ascontiguousarray(alpha[None]), "linear")
-    return _decoded(codes, encoding), alpha, pixels.shape[2]
+    share = None if alpha is None else _decoded(np.ascontiguousarray(alpha[None]), "linear")
+    return _decoded(codes, encoding), share, pixels.shape[2]
 
 
 def _decoded(codes: np.ndarray, encoding: str) -> Tensor:

@@ -175,11 +175,12 @@ def _agreeing_scale(where: str, rise: Tensor, slopes: Tensor) -> float:
 
 def _reflectance(colour: Tensor, metal: Tensor | None, given: Tensor | None) -> dict[str, Tensor]:
     """Return r0 [1, H, W], and of what is coloured a mask of three channels: r0 is the largest channel, the mask the ratio."""
-    if metal is None and given is None:
-        return {"fresnel": torch.full_like(colour[:1], DIELECTRIC)}
-    at_normal = given
     if metal is not None:
         at_normal = torch.lerp(torch.full_like(colour, DIELECTRIC), colour.clamp(max=1), metal)
+    elif given is not None:
+        at_normal = given
+    else:
+        return {"fresnel": torch.full_like(colour[:1], DIELECTRIC)}
     most = at_normal.amax(dim=0, keepdim=True)
     if bool((at_normal == most).all()):
         return {"fresnel": most}

@@ -63,7 +63,8 @@ class TextureSet:
             step = "Save it with the channels that its name promises, or rename it."
             raise DataError(message(str(path), "the packed texture", f"have {channel + 1} channels", fact, step))
         if channel is not None:
-            picture = (alpha if channel == 3 else picture[channel : channel + 1]).expand(3, -1, -1)
+            one = alpha if channel == 3 and alpha is not None else picture[channel : channel + 1]
+            picture = one.expand(3, -1, -1)
         check_finite(str(path), "the texture", picture, "Correct those texels.")
         return picture
 
@@ -101,13 +102,15 @@ def find_textures(folder: str | Path) -> TextureSet:
     if not os.path.isdir(folder):
         step = "Give the folder that holds *_Color.jpg and its companions, unpacked."
         raise DataError(message(str(folder), "the textures", "be a folder", "it is none", step))
-    pictures, ignored = [], []
+    pictures: list[Path] = []
+    ignored: list[Path] = []
     for path in sorted(path for path in folder.iterdir() if path.is_file() and not path.name.startswith(".")):
         is_picture = path.suffix.lower() in IMAGE_SUFFIXES or (path.suffix.lower() in _UNREAD and kind_of(path.stem))
         (pictures if is_picture else ignored).append(path)
-    kinds = {path: kind_of(path.stem) for path in pictures}
-    _tell_previews(kinds)
-    _refuse_unknown(folder, kinds)
+    told = {path: kind_of(path.stem) for path in pictures}
+    _tell_previews(told)
+    _refuse_unknown(folder, told)
+    kinds = {path: kind for path, kind in told.items() if kind is not None}
     left_out = {p.name: f"{k.removeprefix('no place: ')}: torchmat has no place for it" for p, k in kinds.items()
                 if k.startswith("no place")}
     ignored += [path for path, kind in kinds.items() if kind == "preview"]
@@ -202,6 +205,7 @@ def read_textures(found: TextureSet) -> dict[str, Tensor]:
 def _read_one(found: TextureSet, kind: str) -> tuple[str, Tensor]:
     """Return what a kind of map is called once it is read, and its values."""
     path, texture = found.files[kind].path, found.read(kind)
+    assert texture is not None  # its kind is one that was found
     if kind in ("normalgl", "normaldx", "normal"):
         normal = _normal(texture, path)
         return ("normalgl", flip_green(normal)) if kind == "normaldx" else (kind, normal)

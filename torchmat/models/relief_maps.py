@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from torchmat.geometry.rays import look_up, soft_shadow, texel_centres, trace_view
 from torchmat.models.storage import MapSpec
@@ -84,7 +84,7 @@ def shade_along(material, light: Tensor, view: Tensor, met: Rays) -> Tensor:
     return (total / len(met.ends)).clamp(min=0)
 
 
-def covered(maps: Mapping[str, Tensor], value: Tensor) -> Tensor:
+def covered(maps: Mapping[str, Tensor] | nn.ParameterDict, value: Tensor) -> Tensor:
     """Return a value [..., 3, H, W] of a surface as far as it covers its texels: times `opacity`, where there is one."""
     return value * maps["opacity"] if "opacity" in maps else value
 
