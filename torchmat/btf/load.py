@@ -19,7 +19,7 @@ from torchmat.btf.decode import ENCODINGS, Decoder, resolve_encoding
 from torchmat.btf.lambert import with_estimated_intensities
 from torchmat.btf.lighting import Lighting, by_ball, by_table, home_of
 from torchmat.btf.listing import Listing
-from torchmat.btf.pixels import PixelOptions, tag_notes
+from torchmat.btf.pixels import PixelOptions, has_profile, tag_notes
 from torchmat.btf.reader import READERS
 from torchmat.btf.readers import keep_samples, open_source, read_listing, reading_key
 from torchmat.btf.source import File, Folder, Zip
@@ -103,12 +103,12 @@ def load_btf(
         invalid=invalid,
         # Without averaging the codes are stored as they are, but for XYZ, whose channels belong together.
         encoding=encoding if downscale > 1 or encoding == "xyz" else "auto",
-        by_profile=encoding == "auto",
     )
     if kind is not None:
         check_option("load_btf", "kind", kind, READERS)
     source = open_source(path, kind)
-    source.by_profile = options.by_profile
+    source.by_profile = encoding == "auto" or not has_profile(source)
+    options = dataclasses.replace(options, by_profile=source.by_profile)
     try:
         opened = open_store(
             source,

@@ -13,7 +13,7 @@ import numpy as np
 import torch
 
 from torchmat.btf.decode import Decoder, resolve_encoding
-from torchmat.btf.listing import Listing
+from torchmat.btf.listing import Listing, is_image
 from torchmat.btf.reader import Pixels
 from torchmat.btf.source import File, Folder, Zip
 from torchmat.btf.store import CLIPPED, INVALID
@@ -130,6 +130,18 @@ def read_pixels(source: Folder | Zip, name: str) -> tuple[np.ndarray, bool]:
         except DataError as error:
             # A file from a zip is opened under a scratch name, which would mean nothing to the reader.
             raise DataError(str(error).replace(str(path), f"{source.path}: {name}")) from error
+
+
+def has_profile(source: File | Folder | Zip) -> bool:
+    """Tell whether the first picture of a source has a colour profile."""
+    name = None if isinstance(source, File) else next(filter(is_image, source.names), None)
+    if isinstance(source, File) or name is None:
+        return False
+    try:
+        with source.file(name) as path:
+            return bool(read_tags(path).profile)
+    except DataError:
+        return False  # said with more words when it is decoded
 
 
 def tag_notes(source: File | Folder | Zip, listing: Listing) -> list[str]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 SAMPLE = "sample"
 NO_INTENSITIES = "none"
@@ -14,6 +14,7 @@ NO_INTENSITIES = "none"
 class DataArguments:
     """How the images are read."""
 
+    reads: ClassVar = ("lights", "ball")
     cache: Path | None = None
     """Folder for decoded images (default: the user's cache folder, or $TORCHMAT_CACHE)."""
     no_cache: bool = False

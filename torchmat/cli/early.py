@@ -17,13 +17,14 @@ from torchmat.text_file import read_toml
 def check_early(command: Any) -> None:
     """Raise DataError or RangeError for arguments that no data is needed to refuse.
 
-    A command names in `reads` those of its arguments that are paths to read, and may have a method `check_names`. The
-    rest is checked where it is used, with the same words.
+    A command names in `reads` those of its arguments that are paths to read, as those of its `read` do (how images are
+    read), and may have a method `check_names`. The rest is checked where it is used, with the same words.
     """
-    for name in getattr(command, "reads", ()):
-        value = getattr(command, name)
-        for path in value if isinstance(value, list | tuple) else [value]:
-            check_there(path)
+    for part in (command, getattr(command, "read", None)):
+        for name in getattr(part, "reads", ()):
+            value = getattr(part, name)
+            for path in value if isinstance(value, list | tuple) else [value]:
+                check_there(path)
     if hasattr(command, "check_names"):
         command.check_names()
 
