@@ -53,7 +53,8 @@ def test_geometry_estimates_intensities_and_warns_of_the_encoding(tmp_path, ligh
         assert run("geometry", folder, "--lights", lights, "--out", tmp_path / name, "--depth", "float", *more) == 0
     said = capsys.readouterr().out
     assert "intensities of the lights are estimated" in said and "seem not to be equally bright" in said
-    assert run("geometry", put_photographs(tmp_path / "plain"), "--lights", lights, "--out", tmp_path / "c", "--depth", "float") == 0
+    plain = put_photographs(tmp_path / "plain")
+    assert run("geometry", plain, "--lights", lights, "--out", tmp_path / "c", "--depth", "float") == 0
     truth, found, off = (read_image(tmp_path / name / "normal_gl.exr") for name in "cab")
     assert np.abs(found - truth).max() < 0.02 < np.abs(off - truth).max()
     linear = put_photographs(tmp_path / "linear", encode=lambda values: values)
@@ -71,7 +72,8 @@ def test_fit_and_compare_take_lights_and_intensities(tmp_path, lights, capsys):
     report = json.loads((tmp_path / "out" / "report.json").read_text("utf-8"))
     assert report["held_out"]["relative_error"] < 0.01 and report["lambert_residual"]["residual"] < 0.02
     assert report["data"]["light_table"] == str(lights) and len(report["source"]["lights_of"]) == 14
-    assert run("fit", "lambert", "--data", folder, "--out", tmp_path / "not", "--no-pictures", "--lights", lights, "--measure", "none") == 0
+    more = ("--no-pictures", "--lights", lights, "--measure", "none")
+    assert run("fit", "lambert", "--data", folder, "--out", tmp_path / "not", *more) == 0
     assert json.loads((tmp_path / "not" / "report.json").read_text("utf-8"))["held_out"] is None
     code = run("compare", folder, "--models", "texture", "lambert", "--out", tmp_path / "rows", "--measure", "quick", *given)
     said = capsys.readouterr().out
@@ -102,4 +104,5 @@ def test_bad_lights_are_skipped_on_request(tmp_path, capsys):
     assert run("info", folder, "--no-plot") == 2
     assert "--skip-bad-lights" in capsys.readouterr().err
     assert run("info", folder, "--no-plot", "--skip-bad-lights") == 0
-    assert "note       1 of 14 photographs are skipped, whose lights are below the surface, first photo.3.png" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert "note       1 of 14 photographs are skipped, whose lights are below the surface, first photo.3.png" in said

@@ -227,6 +227,20 @@ def put_vendors_textures(folder: Path) -> Path:
     return folder
 
 
+def put_stereo(folder: Path) -> Path:
+    for number in range(4):
+        put_image(folder / f"{number}.png", random_codes(number, (2, 3, 3)))
+    put_lights(folder).rename(folder / "light_directions.txt")
+    (folder / "light_intensities.txt").write_text("1 1 1\n0.5 1 2\n1 2 4\n3 3 3\n")
+    (folder / "filenames.txt").write_text("0.png\n1.png\n2.png\n3.png\n")
+    return folder
+
+
+def put_named_lights(folder: Path) -> Path:
+    (folder / "lights.csv").write_text("file;x;y;z;r;g;b\na.png;0;0;1;1;1;2\nb.png;0,6;0;0,8;1;1;2\nc d.png;0;-0,6;0,8;1;1;2\n")
+    return folder / "lights.csv"
+
+
 def put_textures(folder: Path) -> Path:
     for number, kind in enumerate(("Color", "NormalGL", "Roughness", "Displacement")):
         codes = random_codes(number, (4, 4, 3 if number < 2 else 1))

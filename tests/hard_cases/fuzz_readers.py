@@ -12,13 +12,13 @@ import torch
 from tests.btf.files import directions_of
 from tests.hard_cases.fuzz_inputs import (
     Put, image_putter, material_putter, mesh_putter, named_putter, put_cached, put_config, put_distribution,
-    put_gltf, put_lights, put_manifest, put_merl, put_merl_gz, put_merl_zip, put_packed, put_rti, put_small, put_textures,
-    put_vendors_textures, put_volume, put_xyz, put_zip, relief_putter, rgl_putter,
+    put_gltf, put_lights, put_manifest, put_merl, put_merl_gz, put_merl_zip, put_named_lights, put_packed, put_rti, put_small,
+    put_stereo, put_textures, put_vendors_textures, put_volume, put_xyz, put_zip, relief_putter, rgl_putter,
 )
 from tests.rendering.mesh_files import assert_frames_hold
 
 import torchmat as tm
-from torchmat.btf.light_table import read_lights
+from torchmat.btf.light_table import read_light_table, read_lights
 from torchmat.btf.photographs import read_linear
 from torchmat.create.textures import find_textures, read_textures
 from torchmat.fitting.config import FitConfig, load_config
@@ -162,6 +162,14 @@ def _read_height(path: Path) -> list[Any]:
     return [height]
 
 
+def _read_light_table(path: Path) -> list[Any]:
+    table = read_light_table(path)
+    found = [table.light] + ([] if table.intensity is None else [table.intensity])
+    _finite(*found)
+    assert len(table.light) == len(table.where) and (table.names is None or len(table.names) == len(table.light))
+    return [*found, table.names]
+
+
 def _read_lights(path: Path) -> list[Any]:
     light = read_lights(path, 4)
     assert light.shape == (4, 3)
@@ -230,6 +238,8 @@ READERS = [
     Reader("height, folder", relief_putter("16"), _read_height, ("relief.json", "height.png"), ("cut",)),
     Reader("height, float", image_putter("exr", "float32", 1), _read_height, exact=("cut",)),
     Reader("light directions", put_lights, _read_lights),
+    Reader("light directions, CSV", put_named_lights, _read_light_table),
+    Reader("light_directions.txt", put_stereo, _read_btf, (".txt",)),
     Reader("texture set", put_textures, _read_textures, exact=_CHECKED),
     Reader("texture set, packed", put_vendors_textures, _read_textures, by_name=True),
 ]

@@ -112,7 +112,9 @@ def load_btf(
     try:
         opened = open_store(
             source,
-            lambda: _listed(source, kind, duplicates, normalise, skip_bad_lights, lighting, None if given is None else (str(intensities), given)),
+            lambda: _listed(
+                source, kind, duplicates, normalise, skip_bad_lights, lighting, None if given is None else (str(intensities), given)
+            ),
             (*reading_key(source, kind), duplicates, normalise, skip_bad_lights, lighting and lighting.key, given), options,
             cache, progress,
         )
