@@ -29,10 +29,10 @@ def main() -> None:
     mesh = as_mesh("teapot")
     camera = Camera.framing(mesh.centre, 0.97 * mesh.radius, _VIEW, math.radians(25))
     visible = see(mesh, camera, (int(0.72 * _SIZE), _SIZE), 4, repeat=_REPEAT)
-    shown = [("the measured images", shade_visible(RawBtf(btf), visible, _LIGHTS, shadows=True))]
+    shown = [("the measured images", shade_visible(RawBtf(btf), visible, _LIGHTS, shadows=True, soften=True))]
     for model in MATERIALS:
         result = tm.fit(btf, model, **_OPTIONS.get(model, {}))
-        picture = shade_visible(result.material, visible, _LIGHTS, shadows=True)
+        picture = shade_visible(result.material, visible, _LIGHTS, shadows=True, soften=True)
         error = result.report["held_out"]["psnr_db"]
         shown.append((f"{model}: {result.report['bytes_per_texel']:.0f} B, {error:.1f} dB", picture))
         print(shown[-1][0], flush=True)

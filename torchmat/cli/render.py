@@ -14,6 +14,9 @@ from torchmat.cli.arguments import DataArguments
 _Direction = tuple[float, float, float]
 _DEFAULT_MESHES = ("patch", "sphere")
 _SPHERE_REPEAT = 2.0
+_FRONT = (0.0, 0.0, 1.0)
+_SEEN_FROM_THE_FRONT = ("patch", "quad", "sphere")
+_THREE_QUARTER = (0.7, 0.5, 1.0)  # a front view shows one side of an object, and lids and rims as lines
 
 
 @dataclass
@@ -38,8 +41,9 @@ class Render:
     """Latitude-longitude picture that lights the object, alone or beside other lights."""
     environment_lights: int = 64
     """How many distant lights stand for the environment."""
-    view: _Direction = (0.0, 0.0, 1.0)
-    """Direction to the camera, which frames the object (of the patch: in its tangent frame)."""
+    view: _Direction | None = None
+    """Direction to the camera, which frames the object; of the patch in its tangent frame (default: patch, quad and sphere
+    from the front, other objects from the side and above)."""
     field_of_view_deg: float | None = None
     """Angle that the picture's width spans (default: the camera is far away)."""
     size: int = 512
@@ -96,7 +100,12 @@ class Render:
         if scene.mesh.mapping != "shape":
             print(f"mesh       {mesh_line(scene.mesh)}")
         target = folder / f"render_{self.scene.stem}.png"
-        return write_picture(render(shader, scene), target, self.exposure, self.exr)
+        coverage = scene.visible(shader.dtype).coverage
+        return write_picture(render(shader, scene), target, self.exposure, self.exr, coverage)
+
+    def _view(self, mesh: str) -> _Direction:
+        usual = _FRONT if mesh in _SEEN_FROM_THE_FRONT else _THREE_QUARTER
+        return usual if self.view is None else self.view
 
     def _check(self, meshes) -> None:
         from torchmat.errors import RangeError, message
@@ -138,39 +147,41 @@ class Render:
         from torchmat.rendering import Camera, render
         from torchmat.rendering.as_mesh import as_mesh
         from torchmat.rendering.files import write_picture
-        from torchmat.rendering.mesh import Mesh
         from torchmat.rendering.render import PATCH
+        from torchmat.rendering.scene import Scene
         from torchmat.report.describe_mesh import mesh_line
 
         usual = _SPHERE_REPEAT if mesh == "sphere" else 1.0
         repeat = usual if self.repeat is None else self.repeat
-        body: str | Mesh = mesh if mesh == PATCH else as_mesh(mesh)
-        if not isinstance(body, str) and body.mapping != "shape":
+        view, target = self._view(mesh), stem.with_suffix(".png")
+        if mesh == PATCH:
+            picture = render(shader, PATCH, lights, view, self.size, repeat, shadows=self.shadows, rays=self.rays)
+            return write_picture(picture, target, self.exposure, self.exr)
+        body, camera = as_mesh(mesh), None
+        if body.mapping != "shape":
             print(f"mesh       {mesh_line(body)}")
         if self.turntable or self.sweep:
-            return self._animate(shader, body, lights, repeat, stem)
-        camera = None
-        if self.field_of_view_deg is not None and not isinstance(body, str):
-            camera = Camera.framing(body.centre, body.radius, self.view, math.radians(self.field_of_view_deg))
-        picture = render(
-            shader, body, lights, self.view, self.size, repeat, camera=camera, shadows=self.shadows, rays=self.rays
-        )
-        return write_picture(picture, stem.with_suffix(".png"), self.exposure, self.exr)
+            return self._animate(shader, body, lights, repeat, stem, view)
+        if self.field_of_view_deg is not None:
+            camera = Camera.framing(body.centre, body.radius, view, math.radians(self.field_of_view_deg))
+        scene = Scene(body, lights, camera, view, self.size, repeat, self.shadows, self.rays)
+        return write_picture(scene.picture(shader), target, self.exposure, self.exr, scene.visible(shader.dtype).coverage)
 
-    def _animate(self, shader, body, lights: list, repeat: float, stem: Path) -> list[Path]:
+    def _animate(self, shader, body, lights: list, repeat: float, stem: Path, view: _Direction) -> list[Path]:
         from torchmat.rendering.animate import contact_sheet, write_animation
-        from torchmat.rendering.files import write_picture
+        from torchmat.rendering.files import NEUTRAL, write_picture
         from torchmat.rendering.sequences import light_sweep, turntable
 
         angle = None if self.field_of_view_deg is None else math.radians(self.field_of_view_deg)
         common: dict[str, Any] = {
             "size": self.size, "repeat": repeat, "field_of_view": angle, "shadows": self.shadows, "rays": self.rays,
+            "background": NEUTRAL / self.exposure,
         }
         sequences = {}
         if self.turntable:
             sequences["turntable"] = turntable(shader, body, lights, self.turntable, **common)
         if self.sweep:
-            sequences["sweep"] = light_sweep(shader, body, self.sweep, view=self.view, **common)
+            sequences["sweep"] = light_sweep(shader, body, self.sweep, view=view, **common)
         written = []
         for name, pictures in sequences.items():
             frames = list(pictures)

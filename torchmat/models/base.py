@@ -40,6 +40,7 @@ class Material(Storable):
     name: ClassVar[str]
     isotropic: bool = False
     reciprocal: ClassVar[bool] = False
+    bright_at_horizon: bool = False  # its value need not go to 0 as the light sets: pictures of objects fade it
 
     def __init__(
         self, maps: Mapping[str, Tensor], *, storage: str = "half", tiles: bool = True,

@@ -71,6 +71,7 @@ class Ptm(Material):
     """Polynomial texture map: a biquadratic of the projected light per texel and channel."""
 
     name = "ptm"
+    bright_at_horizon = True
 
     def own_specs(self) -> tuple[MapSpec, ...]:
         return (MapSpec("polynomial", "coefficient per term, RGB", layers=BASES["polynomial"].terms, linear=True),)
@@ -84,6 +85,7 @@ class Lptm(Material):
     """Luminance PTM: one biquadratic of luminance per texel, times a colour per texel."""
 
     name = "lptm"
+    bright_at_horizon = True
 
     def own_specs(self) -> tuple[MapSpec, ...]:
         terms = BASES["polynomial"].terms
@@ -101,6 +103,7 @@ class Hsh(Material):
     """Hemispherical harmonics of the light: 4, 9 or 16 `terms` per texel and channel."""
 
     name = "hsh"
+    bright_at_horizon = True
 
     def __init__(self, maps: Mapping[str, Tensor], *, terms: int = 9, **settings: Any) -> None:
         check_option(self.name, "terms", terms, HSH_TERMS)

@@ -63,6 +63,7 @@ class Neural(Material):
     """
 
     name = "neural"
+    bright_at_horizon = True
 
     def __init__(
         self, maps: Mapping[str, Tensor], *, latent: int = 8, hidden: int = 32, layers: int = 2, **settings: Any

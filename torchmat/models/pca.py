@@ -43,6 +43,7 @@ class Pca(Material):
     """Principal components of the matrix of images: `components` RGB textures and a weight for each direction."""
 
     name = "pca"
+    bright_at_horizon = True
 
     def __init__(self, maps: Mapping[str, Tensor], *, components: int = 16, **settings: Any) -> None:
         _positive(self.name, "components", components)
@@ -73,6 +74,7 @@ class LocalPca(Material):
     """
 
     name = "local_pca"
+    bright_at_horizon = True
 
     def __init__(
         self, maps: Mapping[str, Tensor], *, clusters: int = 8, components: int = 8, **settings: Any

@@ -37,6 +37,7 @@ class PhongSrf(Material):
         check_option(self.name, "residual", residual, RESIDUALS)
         check_option(self.name, "base", base, LOBES)
         self._basis, self._lobe = BASES[residual], LOBES[base]
+        self.bright_at_horizon = residual != "cosine"
         super().__init__(maps, residual=residual, base=base, **settings)
 
     def own_specs(self) -> tuple[MapSpec, ...]:

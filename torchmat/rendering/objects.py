@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import torch
@@ -12,14 +13,19 @@ from torchmat.rendering.mesh import Mesh
 from torchmat.rendering.mipmap import Pyramid, Shader
 from torchmat.rendering.visibility import Visible, check_outside
 
+_FLATTEST = math.cos(math.radians(80.0))  # flatter light than that is hardly ever measured
+
 
 def shade_visible(
-    shader: Shader | Pyramid, visible: Visible, lights: Sequence[Light], shadows: bool = False, gradient: bool = False
+    shader: Shader | Pyramid, visible: Visible, lights: Sequence[Light], shadows: bool = False, gradient: bool = False,
+    soften: bool = False,
 ) -> Tensor:
     """Return the linear picture [3, rows, columns] of visible points under all `lights` together.
 
     Only points above whose horizon a light stands are shaded for it; with `shadows` only those that no other part of
     the mesh hides from it. Give a Pyramid to keep its smaller copies from one picture to the next.
+    Models that stay bright up to the horizon (`Material.bright_at_horizon`) were fitted to no light there and end in a
+    hard arc where it sets: with `soften` they fade over the last 10 degrees as the cosine does.
     With `gradient` the picture has one, in the maps of the shader.
     Raises RangeError when a light stands inside of the mesh.
     """
@@ -29,7 +35,7 @@ def shade_visible(
         values = torch.zeros(3, 1, len(visible.pixel), dtype=visible.position.dtype)
         parts = pyramid.parts(visible.footprint)
         for light in lights:
-            _add_light(values, parts, visible, light, shadows)
+            _add_light(values, parts, visible, light, shadows, soften)
         return visible.resolve(values)
 
 
@@ -54,13 +60,16 @@ def reach(visible: Visible, light: Light, shadows: bool) -> tuple[Tensor, Tensor
     return local, intensity, lit
 
 
-def _add_light(values: Tensor, parts: list, visible: Visible, light: Light, shadows: bool) -> None:
+def _add_light(values: Tensor, parts: list, visible: Visible, light: Light, shadows: bool, soften: bool) -> None:
     local, intensity, lit = reach(visible, light, shadows)
     for shader, which, weight in parts:
         chosen = lit.nonzero()[:, 0] if isinstance(which, slice) else which[lit[which]]
         if not len(chosen):
             continue
-        shaded = shader.shade_at(*(_picked(plane, chosen) for plane in (visible.uv, local, visible.view)))
+        above = _picked(local, chosen)
+        shaded = shader.shade_at(_picked(visible.uv, chosen), above, _picked(visible.view, chosen))
+        if soften and getattr(shader, "bright_at_horizon", False):
+            shaded = _times(shaded, (above[2:] / _FLATTEST).clamp(max=1))
         shaded = _times(shaded, _picked(intensity, chosen) if intensity.shape[-1] > 1 else intensity)
         if weight is not None:
             shaded = _times(shaded, weight[lit[which]])

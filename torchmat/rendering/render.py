@@ -32,7 +32,8 @@ def render(
     """Return a linear picture [3, rows, columns] of a material on an object.
 
     Directions and places are in the scene's frame: x right, y up, z toward the default camera; of a patch in its tangent
-    frame. To light one view again and again, use `see` and `shade_visible`.
+    frame. To light one view again and again, use `see` and `shade_visible`. On objects, models that know nothing of light
+    flatter than they were fitted to (polynomials, harmonics, PCA) fade over the last 10 degrees before it sets.
 
     Args:
         material: a Material, a Brdf, or a RawBtf.

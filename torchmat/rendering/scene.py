@@ -88,7 +88,7 @@ class Scene:
 
     def picture(self, material: Shader, gradient: bool = False) -> Tensor:
         """Return the linear picture [3, rows, columns] of a material in this scene; with `gradient`, one in its maps."""
-        return shade_visible(material, self.visible(material.dtype), self._lights, self.shadows, gradient)
+        return shade_visible(material, self.visible(material.dtype), self._lights, self.shadows, gradient, soften=True)
 
     def use(self) -> SceneUse:
         """Return what the scene uses of a material: the points that are seen and lit, and how much they count.

@@ -54,6 +54,11 @@ class Visible:
         picture.index_add_(1, self.pixel, values[:, 0] * self.weight)
         return picture.reshape(-1, rows, columns)
 
+    @property
+    def coverage(self) -> Tensor:
+        """Which share of each pixel shows the object, [1, rows, columns]: 1 inside of it, 0 beside it."""
+        return self.resolve(torch.ones(1, 1, len(self.pixel), dtype=self.weight.dtype)).clamp(max=1)
+
     def reached_by(self, light: Light, which: Tensor) -> Tensor:
         """Return, as bool, which of the points numbered `which`, all facing a light, no part of the mesh hides."""
         start = self._shadow_starts[which]
