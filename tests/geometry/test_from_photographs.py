@@ -153,7 +153,7 @@ def test_photographs_of_different_sizes_name_the_file(tmp_path):
 
 def test_a_picture_of_many_channels_is_refused_not_cut(tmp_path):
     write_image(tmp_path / "spectral.exr", np.zeros((4, 4, 6), np.float32))
-    with pytest.raises(ShapeError, match=r"spectral\.exr.*1 to 4 channels"):
+    with pytest.raises(DataError, match=r"spectral\.exr: the channels must be Y, or R, G, B.*'channel5'"):
         read_photographs(tmp_path)
 
 
