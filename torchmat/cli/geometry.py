@@ -20,7 +20,9 @@ class Geometry:
     path: Annotated[str, tyro.conf.Positional]
     """BTF or RTI capture, a folder of photographs with --lights or --ball, or one picture."""
     out: Path = Path("relief")
-    """Folder to write."""
+    """Folder to write; an earlier relief there is replaced, unless something in it was painted."""
+    force: bool = False
+    """Replace it even so, and keep it as NAME.backup-1."""
     lights: Path | None = None
     """Text file with x y z of one light a line (or a column), in the order of the photographs' names."""
     ball: Path | None = None
@@ -43,13 +45,13 @@ class Geometry:
         from torchmat.material_io.relief_folder import check_target, save_relief
         from torchmat.report.pictures import relief_picture
 
-        check_target(self.out)  # before the work, not after it
+        check_target(self.out, self.force)  # before the work, not after it
         relief = self._recover()
 
         def draw(building: Path) -> None:
             relief_picture(relief, building / "relief.png")
 
-        folder = save_relief(relief, self.out, self.depth, {"source": self.path}, draw)
+        folder = save_relief(relief, self.out, self.depth, {"source": self.path}, draw, self.force)
         for path in sorted(folder.iterdir()):
             print(f"relief     {path}")
 

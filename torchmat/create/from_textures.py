@@ -9,13 +9,14 @@ import torch
 from torch import Tensor
 
 from torchmat import safe
-from torchmat.create.from_picture import assemble
+from torchmat.create.from_picture import assemble, black_to_white
 from torchmat.create.specular_maps import disc
 from torchmat.create.textures import find_textures, read_textures
 from torchmat.errors import DataError, RangeError, check_finite, message
 from torchmat.geometry import normals_from_slopes, slopes_from_height, slopes_from_normals
 from torchmat.geometry.normals import check_height_scale
 from torchmat.models.distribution import Distribution
+from torchmat.models.storage import StoredAs
 
 _WHERE = "material_from_textures"
 DIELECTRIC = 0.04  # r0 of a refractive index of 1.5
@@ -27,7 +28,7 @@ _FINE = 4  # samples a texel and axis: the peak of a sharp lobe is averaged over
 
 def material_from_textures(
     folder: str | Path, *, lobes: int = 3, height_scale: float | None = None, occlusion: bool = False, size: int = _SIZE,
-    tiles: bool = True, storage: str = "png8",
+    tiles: bool = True, storage: str = "paint8",
 ) -> Distribution:
     """Return the material of a folder of textures named as ambientCG names them (see `find_textures`).
 
@@ -52,18 +53,19 @@ def material_from_textures(
             step = "Add one whose name ends in _AmbientOcclusion, or leave the occlusion out."
             raise DataError(message(str(folder), "the folder", "hold an occlusion texture", "it holds none", step))
         maps["diffuse"] = maps["diffuse"] * shade
-    maps |= _shape(folder, textures, height_scale, tiles)
+    shape, stored = _shape(folder, textures, height_scale, tiles)
+    maps |= shape
     rough = _share(folder, textures, "roughness")
     if rough is None and metal is not None:
         rough = torch.full_like(metal, _ROUGHNESS)
     if rough is None:
-        return assemble(maps, 0, tiles, storage)
+        return assemble(maps, 0, tiles, storage, stored)
     levels, index = quantised(rough, lobes)
     maps |= _reflectance(colour, metal)
     maps["specular"] = torch.cat([ggx_lobe(float(level), size) for level in levels])
     if len(levels) > 1:
         maps["index"] = index
-    return assemble(maps, len(levels), tiles, storage)
+    return assemble(maps, len(levels), tiles, storage, stored)
 
 
 def _share(folder: str | Path, textures: dict[str, Tensor], kind: str) -> Tensor | None:
@@ -77,9 +79,9 @@ def _share(folder: str | Path, textures: dict[str, Tensor], kind: str) -> Tensor
 
 def _shape(
     folder: str | Path, textures: dict[str, Tensor], height_scale: float | None, tiles: bool
-) -> dict[str, Tensor]:
-    """Return the height, and the normal map: alone, or what is left of it beside the height."""
-    found = {}
+) -> tuple[dict[str, Tensor], dict[str, StoredAs]]:
+    """Return the height, and the normal map: alone, or what is left of it beside the height; and how they are stored."""
+    found, stored = {}, {}
     slopes = slopes_from_normals(textures["normal"]) if "normal" in textures else None
     if "displacement" in textures and height_scale != 0:
         if height_scale is None:
@@ -89,10 +91,11 @@ def _shape(
         check_height_scale(_WHERE, height_scale)
         height = textures["displacement"] * height_scale
         found["height"] = height - height.mean()
+        stored["height"] = black_to_white(textures["displacement"], height_scale)
         slopes = None if slopes is None else slopes - slopes_from_height(found["height"], tiles=tiles)
     if slopes is not None:
         found["normal"] = normals_from_slopes(slopes)
-    return found
+    return found, stored
 
 
 def _agreeing_scale(where: str, displacement: Tensor, slopes: Tensor, tiles: bool) -> float:

@@ -220,6 +220,10 @@ class Material(Storable):
         own = {spec.name: self.maps[spec.name] for spec in self.own_specs()}
         return self._like({**own, **parts})
 
+    def without_relief(self) -> Self:
+        """Return the material with neither height nor ambient light, for good: its normals are those of its own maps."""
+        return self._like({spec.name: self.maps[spec.name] for spec in self.own_specs()}) if self.has_relief else self
+
     def surface(self) -> Self:
         """Return the material without its relief: what one texel does with its light."""
         return self.sharing({spec.name: self.maps[spec.name] for spec in self.own_specs()})
