@@ -183,13 +183,14 @@ class Btf:
     def digest(self) -> str:
         """Return a text that other data has not: of all codes, of directions, and of how the codes are read."""
         store = self._store
-        sums = store.checksums
-        if sums is None:
+        if store.checksums is None:
             clear = np.zeros(store.pixels.shape[2:], np.uint8)
             flags = (clear if store.flags is None else store.flags[row] for row in range(len(self)))
-            sums = [checksum(codes, marks) for codes, marks in zip(store.pixels, flags, strict=True)]
+            sums = np.array([checksum(codes, marks) for codes, marks in zip(store.pixels, flags, strict=True)], np.int64)
+        else:
+            sums = store.checksums.astype(np.int64)
         digest = hashlib.sha256(self.identity().encode())
-        digest.update(np.asarray(sums, np.int64).tobytes())
+        digest.update(sums.tobytes())
         return digest.hexdigest()
 
     def picked(self, indices: Sequence[int] | Tensor) -> Btf:

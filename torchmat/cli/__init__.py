@@ -74,11 +74,11 @@ def _notices() -> Iterator[None]:
         warnings.simplefilter("always", Notice)
         usual = warnings.showwarning
 
-        def show(text, category, *rest, **more) -> None:
+        def show(message, category, filename, lineno, file=None, line=None) -> None:
             if issubclass(category, Notice):
-                print(f"note: {text}", file=sys.stderr)
+                print(f"note: {message}", file=sys.stderr)
             else:
-                usual(text, category, *rest, **more)
+                usual(message, category, filename, lineno, file, line)
 
         warnings.showwarning = show
         yield

@@ -53,13 +53,13 @@ def run_of(config, data: str, scenes: Sequence[Path], btf, command: Sequence[str
     from torchmat.written import digest_of_tree
 
     table = {name: value for name, value in dataclasses.asdict(config).items() if value is not None}
-    scenes = [os.path.abspath(find_file(path, "scenes")) for path in scenes]
-    used = list(scenes)
+    used = [os.path.abspath(find_file(path, "scenes")) for path in scenes]
+    scene_files = list(used)
     if config.geometry is not None and is_path(config.geometry):
         table["geometry"] = os.path.abspath(config.geometry)
         used.append(table["geometry"])
     return {
-        "command": list(command), "config": table, "digest": btf.digest(), "scenes": scenes,
+        "command": list(command), "config": table, "digest": btf.digest(), "scenes": scene_files,
         "data": os.path.abspath(data) if os.path.exists(data) else data,
         "files": {path: digest_of_tree(Path(path)) for path in used},
     }

@@ -96,8 +96,7 @@ class Fit:
         run = self._run()
         out = self.out or (Path("out") if run is None else run.folder)
         check_target(out, self.force)  # before the work, not after it
-        asked = self.model if run is None else run.config
-        config = load_config(asked, [*self.set, *self._flags()]).read_as(self.read.keywords())
+        config = load_config(run.config if run is not None else self.model or "", [*self.set, *self._flags()]).read_as(self.read.keywords())
         names = self.scene or ([] if run is None else [Path(name) for name in run.scenes])
         scenes = [load_scene(path) for path in names]
         data = self.data or (SAMPLE if run is None else run.data)

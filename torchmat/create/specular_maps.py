@@ -10,6 +10,7 @@ from __future__ import annotations
 import inspect
 import math
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 import torch
@@ -103,7 +104,7 @@ def specular_map(text: str, size: int | None = None) -> Tensor:
     """
     name, _, rest = text.partition(":")
     check_option("specular map", "the name", name, SPECULAR_MAPS)
-    controls = {} if size is None else {"size": size}
+    controls: dict[str, Any] = {} if size is None else {"size": size}
     for part in filter(None, rest.split(",")):
         key, _, value = part.partition("=")
         check_known_keys(f"specular map {name!r}", [key], inspect.signature(SPECULAR_MAPS[name]).parameters)

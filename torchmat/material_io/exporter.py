@@ -100,6 +100,7 @@ class Exporter:
         suffix: of the file that it writes, such as ".glb"; None writes a folder.
         known: ``known(folder)`` returns which files there are an earlier export's, and may be replaced: by default those
             that its ``loss.json`` lists.
+        record: the file in such a folder that keeps the digests of the others (`torchmat.written`).
 
     Raises RangeError when a part is missing or is not what it must be.
     """
@@ -171,15 +172,15 @@ class Exporter:
         `unknown` takes a file of which nothing is known for one. With `force` any file may be replaced; True is returned
         when a backup must be kept.
         """
-        losses = loss_file(target, self)
         if not os.path.lexists(target):
             return False
-        fact, step = "it is a folder", "Choose another name, or move what is there."
-        if not os.path.isdir(target):
-            fact, step = self._doubt(target, losses, unknown), f"{step} With --force (force=True) a backup of it is kept."
-            if fact is None or force:
-                return fact is not None
-        raise DataError(message(str(target), "the target", "be new or an earlier export", fact, step))
+        folder, step = os.path.isdir(target), "Choose another name, or move what is there."
+        fact = "it is a folder" if folder else self._doubt(target, loss_file(target, self), unknown)
+        if not folder and (fact is None or force):
+            return fact is not None
+        if not folder:
+            step += " With --force (force=True) a backup of it is kept."
+        raise DataError(message(str(target), "the target", "be new or an earlier export", str(fact), step))
 
     @staticmethod
     def _doubt(target: Path, losses: Path, unknown: bool) -> str | None:
