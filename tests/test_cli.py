@@ -123,12 +123,14 @@ def test_render_relights_patch_and_sphere(config, data, tmp_path, capsys):
     assert_close(twice, 2 * patch, 1e-5)
 
 
-def test_a_material_with_renders_in_it_is_replaced(config, data, tmp_path):
+def test_a_material_with_renders_in_it_is_replaced_and_they_stay(config, data, tmp_path):
     out = tmp_path / "out"
     fitted(config, data, out, "--no-pictures")
     assert run("render", out, "--size", 8) == 0
+    rendered = {path.name: path.read_bytes() for path in (out / "pictures").iterdir()}
     fitted(config, data, out, "--no-pictures")
-    assert not (out / "pictures").exists()
+    assert {path.name: path.read_bytes() for path in (out / "pictures").iterdir()} == rendered
+    assert set(rendered) == {"render_patch.png", "render_sphere.png"}
 
 
 def test_compare_prints_and_writes_a_table(data, tmp_path, capsys):
@@ -230,7 +232,7 @@ def test_create_makes_a_material_of_a_picture(tmp_path, capsys):
     )
     assert run(*arguments) == 0
     said = capsys.readouterr()
-    for name in ("manifest.json", "diffuse.png", "index_2.png", "rotation_x.png", "specular_2.exr", "maps.png", "hemisphere.png"):
+    for name in ("manifest.json", "diffuse.png", "index_2.png", "rotation.png", "specular_2.png", "maps.png", "hemisphere.png"):
         assert (out / name).is_file() and str(out / name) in said.out
     assert said.err == ""
     material = load_material(out)

@@ -7,11 +7,12 @@ or a full disk leaves either what was there before or what should be there, neve
 from __future__ import annotations
 
 import ctypes
+import itertools
 import os
 import shutil
 import sys
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -20,6 +21,11 @@ from torchmat.errors import DataError, message
 _EXCHANGE = 2  # RENAME_EXCHANGE of linux/fs.h
 _AT_FDCWD = -100
 _ASIDE = "-old"
+INSTALLED: list[Path] = []  # the folders and files that this process has put in their places, for whoever is stopped
+
+
+class Unwritable(DataError):
+    """A file or folder cannot be written: what is wrong is its place, not what was to be written."""
 
 
 def _process_alive(process: int) -> bool:
@@ -68,9 +74,19 @@ def _sync(folder: Path) -> None:
                 os.fsync(stream.fileno())
 
 
-def _install(built: Path, target: Path) -> None:
+def _install(built: Path, target: Path, backup: bool) -> None:
     if not target.exists():
         os.rename(built, target)
+        return
+    if backup:
+        # Whatever happens between the two, the old folder stands under the one name or the other.
+        kept = backup_name(target)
+        os.rename(target, kept)
+        try:
+            os.rename(built, target)
+        except OSError:
+            os.rename(kept, target)
+            raise
         return
     if _exchange(built, target):
         shutil.rmtree(built, ignore_errors=True)  # the new folder stands; a rest is swept next time
@@ -86,28 +102,54 @@ def _install(built: Path, target: Path) -> None:
     shutil.rmtree(aside, ignore_errors=True)
 
 
-def refuse_foreign(target: Path, known: Callable[[str], bool], what: str) -> None:
-    """Raise DataError unless `target` is absent, or a folder of which `known` recognises every file.
+def backup_name(target: Path) -> Path:
+    """Return the first free name among ``NAME.backup-1``, ``NAME.backup-2`` ... beside a file or folder."""
+    return free_name(target, "backup")
 
-    `known` is asked for names relative to the folder, with forward slashes; `what` names what may stand there.
+
+def free_name(target: Path, word: str) -> Path:
+    """Return the first free name among ``NAME.word-1``, ``NAME.word-2`` ... beside a file or folder."""
+    target = Path(os.path.realpath(target))
+    names = (target.with_name(f"{target.name}.{word}-{number}") for number in itertools.count(1))
+    return next(name for name in names if not os.path.lexists(name))
+
+
+def refuse_foreign(
+    target: Path, known: Callable[[str], bool], what: str, changed: Sequence[str] | None = (), force: bool = False
+) -> bool:
+    """Raise DataError unless `target` is absent, or a folder of which `known` recognises every file and none is `changed`.
+
+    `known` is asked for names relative to the folder, with forward slashes; `what` names what may stand there. `changed`
+    None says that nobody knows. With `force` a folder that holds something of the kind may be replaced whatever is in
+    it: True is returned when something of it is the user's, so that a backup must be kept.
     """
     step = "Choose another folder, or move what is there."
     if os.path.exists(target) and not os.path.isdir(target):
         raise DataError(message(str(target), "the target", "be a folder", "it is a file", step))
     if not os.path.isdir(target):
-        return
+        return False
     files = sorted(path.relative_to(target).as_posix() for path in target.rglob("*") if not path.is_dir())
     foreign = [name for name in files if not known(name)]
-    if foreign:
+    if len(foreign) < len(files):
+        step = f"{step} With --force (force=True) it is replaced, and kept as {backup_name(target).name}."
+    if foreign and not (force and len(foreign) < len(files)):
         fact = f"{len(foreign)} of {len(files)} files there are something else, first {foreign[0]!r}"
         raise DataError(message(str(target), "the target", f"be empty or {what} and nothing else", fact, step))
+    unsure = changed is None and bool(files)
+    if (changed or unsure) and not force:
+        fact = "it was written by an earlier torchmat, which kept no digests to tell"
+        if changed:
+            fact = f"{len(changed)} files were changed since, first {changed[0]!r}"
+        raise DataError(message(str(target), "what stands there", "be as torchmat wrote it to be replaced", fact, step))
+    return bool(foreign or changed or unsure)
 
 
 @contextmanager
-def building(target: str | Path, durable: bool = True) -> Iterator[Path]:
+def building(target: str | Path, durable: bool = True, backup: bool = False) -> Iterator[Path]:
     """Yield an empty folder beside `target`; swap it in as `target` when the block ends without an error.
 
-    `durable` flushes the files first. Raises DataError, which names the folder, when it cannot be made; whatever the
+    `durable` flushes the files first; what is not durable is no result either (`INSTALLED`). With `backup` what stood
+    there stays, as `backup_name` calls it. Raises Unwritable, which names the folder, when it cannot be made; whatever the
     block raises passes through after the half-built folder is removed and the old one left as it was.
     """
     try:
@@ -118,25 +160,28 @@ def building(target: str | Path, durable: bool = True) -> Iterator[Path]:
         built.chmod(0o755)
     except (OSError, ValueError) as error:  # ValueError: a NUL in the name
         step = "Choose a folder that can be written to."
-        raise DataError(message(str(target), "the folder", "be writable", str(error), step)) from error
+        raise Unwritable(message(str(target), "the folder", "be writable", str(error), step)) from error
     try:
         yield built
         if durable:
             _sync(built)
-        _install(built, target)
+        _install(built, target, backup)
+        if durable:
+            INSTALLED.append(target)
     except OSError as error:
         step = "Free some space or choose another folder; what was there before is untouched."
-        raise DataError(message(str(target), "the folder", "be written whole", str(error), step)) from error
+        raise Unwritable(message(str(target), "the folder", "be written whole", str(error), step)) from error
     finally:
         shutil.rmtree(built, ignore_errors=True)
 
 
 @contextmanager
-def building_file(target: str | Path) -> Iterator[Path]:
+def building_file(target: str | Path, backup: bool = False) -> Iterator[Path]:
     """Yield a path of the same name in a hidden folder beside `target`; move the file there when the block ends.
 
-    So the file appears whole or not at all, and one that was there before stays until then; a link stays a link. Raises
-    DataError, which names the file, when it cannot be written; whatever else the block raises passes through.
+    So the file appears whole or not at all, and one that was there before stays until then; a link stays a link. With
+    `backup` the old one stays, as `backup_name` calls it. Raises
+    Unwritable, which names the file, when it cannot be written; whatever else the block raises passes through.
     """
     try:
         target = Path(os.path.realpath(target))
@@ -145,13 +190,16 @@ def building_file(target: str | Path) -> Iterator[Path]:
         built = Path(tempfile.mkdtemp(prefix=f"{_prefix(target)}{os.getpid()}-", dir=target.parent))
     except (OSError, ValueError) as error:  # ValueError: a NUL in the name
         step = "Choose a folder that can be written to."
-        raise DataError(message(str(target), "the file", "be writable", str(error), step)) from error
+        raise Unwritable(message(str(target), "the file", "be writable", str(error), step)) from error
     try:
         yield built / target.name
         _sync(built)
+        if backup and target.exists():
+            shutil.copy2(target, backup_name(target))
         os.replace(built / target.name, target)
+        INSTALLED.append(target)
     except OSError as error:
         step = "Free some space or choose another path; what was there before is untouched."
-        raise DataError(message(str(target), "the file", "be written whole", str(error), step)) from error
+        raise Unwritable(message(str(target), "the file", "be written whole", str(error), step)) from error
     finally:
         shutil.rmtree(built, ignore_errors=True)

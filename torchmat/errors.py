@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import difflib
 import math
+import warnings
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
@@ -56,6 +57,15 @@ class NotMeasuredError(TorchmatError, KeyError):
 
 class FitError(TorchmatError, RuntimeError):
     """A fit cannot be carried out on the given data."""
+
+
+class Notice(UserWarning):
+    """Something was taken otherwise than it stood there, or done without: the result holds, and this says how."""
+
+
+def notice(where: str, fact: str) -> None:
+    """Warn that something about the file or argument `where` was taken otherwise than it stood there."""
+    warnings.warn(f"{where}: {fact}", Notice, stacklevel=3)
 
 
 def _short(text: str) -> str:

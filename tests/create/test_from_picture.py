@@ -80,7 +80,7 @@ def test_all_that_is_asked_for_is_there():
     assert_close(found["index"].sum(dim=0), torch.ones(6, 5), 1e-6)
     assert torch.equal(found["rotation"], draw_360((6, 5), [(0.5, 0.5)]))
     assert torch.equal(found["tilt"], tilt_curve("velvet"))
-    assert material.tiles and material.storage == "png8"
+    assert material.tiles and material.storage == "paint8"
     own = torch.full((1, 1, 91), 0.25)
     assert torch.equal(maps(material_from_picture(picture(), tilt=own))["tilt"], own)
 

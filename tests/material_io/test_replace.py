@@ -28,11 +28,14 @@ def test_the_manifest_lists_what_was_written_beside_it(tmp_path):
     assert manifest["companions"] == ["pictures/sphere.png", "report.json"]
 
 
-def test_own_files_and_renders_are_replaced(tmp_path):
+def test_own_files_are_replaced_and_renders_stay(tmp_path):
     save_material(material(), tmp_path / "m", companions=with_report)
     (tmp_path / "m" / "pictures" / "render_sphere.exr").write_bytes(b"render")
     save_material(material(0.25), tmp_path / "m")
-    assert sorted(path.name for path in (tmp_path / "m").rglob("*")) == ["albedo.exr", "manifest.json"]
+    found = sorted(path.relative_to(tmp_path / "m").as_posix() for path in (tmp_path / "m").rglob("*") if path.is_file())
+    assert found == ["albedo.exr", "manifest.json", "pictures/render_sphere.exr"]
+    assert (tmp_path / "m" / "pictures" / "render_sphere.exr").read_bytes() == b"render"
+    save_material(material(0.125), tmp_path / "m")  # and they are in nobody's way
 
 
 @pytest.mark.parametrize("name", ["pictures/holiday.png", "notes.txt", "albedo_old.exr", "sub/render_patch.png"])

@@ -10,6 +10,7 @@ import torch
 from tests.models.examples import CASES, make
 
 from torchmat import DataError, load_material, save_material
+from torchmat.errors import Notice
 from torchmat.images import read_image, write_image
 from torchmat.material_io import pack, unpack
 from torchmat.models import Texture
@@ -113,11 +114,14 @@ def test_one_layer_painted_in_full_size(tmp_path):
 
 
 @pytest.mark.parametrize("size", [(5, 5), (16, 16), (8, 4)])
-def test_other_sizes_are_refused(size, tmp_path):
+def test_other_sizes_are_brought_to_the_full_one(size, tmp_path):
     folder = save_material(texture().stored_at({"albedo": StoredAs((4, 4))}), tmp_path / "out")
-    write_image(folder / "albedo.png", np.zeros((*size, 3), np.uint8))
-    with pytest.raises(DataError, match=r"albedo\.png: the texture must be 4 x 4 x 3; .* or to the full 8 x 8, or export"):
-        load_material(folder)
+    write_image(folder / "albedo.png", np.full((*size, 3), 255, np.uint8))
+    with pytest.warns(Notice, match=rf"albedo\.png: it is {size[0]} x {size[1]}, and was resampled to 8 x 8"):
+        loaded = load_material(folder)
+    assert loaded.stored == {} and loaded.maps["albedo"].shape == (3, 8, 8)
+    high = manifest_of(folder)["textures"][0]["high"][0]
+    assert float((loaded.maps["albedo"].detach() - high).abs().max()) < 1e-6
 
 
 @pytest.mark.parametrize("change", [

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 import torch
@@ -231,12 +233,21 @@ def _quantum(spec, part: torch.Tensor, storage: str) -> torch.Tensor:
         digits, smallest = (2.0**-11, 2.0**-25) if storage == "half" else (2.0**-24, 1e-45)
         return part.abs() * digits + smallest
     low, high = part.amin(dim=(1, 2), keepdim=True), part.amax(dim=(1, 2), keepdim=True)
-    if spec.fixed_range:
+    natural = STORAGES[storage].natural
+    if natural and spec.kind == "rotation":
+        return torch.full_like(part, math.pi / 3 / levels / 2 + 2e-7)  # each sixth of the circle has all codes
+    if spec.fixed_range or (natural and None not in (spec.low, spec.high)):
         low, high = torch.full_like(low, spec.low), torch.full_like(high, spec.high)
+    elif natural and spec.low == 0:
+        low, high = torch.zeros_like(low), high.amax().clamp(min=1).expand_as(high)
+    elif natural and spec.low is None:
+        high = part.abs().amax().expand_as(high)
+        low = -high
     step = (high - low) / levels / 2
-    if spec.colour and levels == 255:
+    coloured = spec.colour or (natural and spec.layer_channels == 3 and spec.low == 0)
+    if coloured and (levels == 255 or natural):
         # Half a code of sRGB, times its steepest slope (2.4 / 1.055 at the bright end).
-        step = part.amax() / levels / 2 * 2.4 / 1.055
+        step = high.amax() / levels / 2 * 2.4 / 1.055
     return (step + 2e-7 * torch.maximum(low.abs(), high.abs())).expand_as(part)
 
 
@@ -248,9 +259,11 @@ def test_export_stays_within_the_quantum_and_is_idempotent(name, options, storag
     assert exported.storage == storage
     assert exported.options == material.options
     assert all(value.dtype == torch.float32 for value in exported.maps.values())
-    for spec, texture, part, kind in material.textures():
-        channels = material.maps[spec.name].shape[0] // len(spec.textures)
-        first = spec.textures.index(texture) * channels
+    for spec, texture, part, kind, _ in material.textures():
+        channels = len(part)
+        first = 0 if channels == len(material.maps[spec.name]) else spec.textures.index(texture) * channels
+        if STORAGES[kind].natural and spec.kind == "rotation":
+            part = torch.nn.functional.normalize(part, dim=0)
         found = exported.maps[spec.name][first : first + channels]
         excess = (found.detach().double() - part.double()).abs() - _quantum(spec, part.double(), kind)
         assert float(excess.max()) <= 0, f"{texture} stored as {kind} is off by {float(excess.max()):.3g} too much"
@@ -265,12 +278,14 @@ def test_export_stays_within_the_quantum_and_is_idempotent(name, options, storag
 def test_bytes_are_those_of_the_textures(name, options, storage):
     material = make(name, options, 5, 3, torch.float32, storage=storage)
     per_texel_bytes = shared = 0
-    for spec, _, part, kind in material.textures():
-        size = 1 if spec.index else {"half": 2, "float": 4, "png8": 1, "png16": 2, "tiff8": 1, "tiff16": 2}[kind]
+    bytes_of = {"half": 2, "float": 4, "png8": 1, "png16": 2, "tiff8": 1, "tiff16": 2, "paint8": 1, "paint16": 2}
+    for texture in material.textures():
+        spec, size = texture.spec, 1 if texture.spec.index else bytes_of[texture.storage]
+        values = texture.codes().pixels.size if bytes_of[texture.storage] < 4 else texture.values.numel()
         if spec.per_texel:
-            per_texel_bytes += part.numel() * size
+            per_texel_bytes += values * size
         else:
-            shared += part.numel() * size
+            shared += values * size
     shared += sum(4 * material.maps[s.name].numel() for s in material.specs() if s.constant)
     assert material.bytes_per_texel == per_texel_bytes / 15
     assert material.shared_bytes == shared

@@ -98,5 +98,5 @@ def test_bytes_per_texel_in_half_precision():
 
 
 def test_textures_have_the_terms_names():
-    names = [name for _, name, _, _ in make("ptm", {}).textures()]
+    names = [name for _, name, *_ in make("ptm", {}).textures()]
     assert names == [f"polynomial_{term}" for term in BASES["polynomial"].terms]

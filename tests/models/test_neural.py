@@ -62,7 +62,7 @@ def test_counts_are_whole_and_positive(name, bad):
 
 def test_the_network_stays_precise_when_texels_take_one_byte():
     material = make("neural", OPTIONS, storage="png8")
-    assert {name: kind for _, name, _, kind in material.textures()} == {
+    assert {name: kind for _, name, _, kind, _ in material.textures()} == {
         "latent_00": "png8", "latent_01": "png8", "layer_0": "half", "layer_1": "half",
     }
     assert material.bytes_per_texel == 2 and material.shared_bytes == 2 * (4 * 11 + 3 * 5)

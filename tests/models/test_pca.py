@@ -87,5 +87,5 @@ def test_counts_are_whole_and_positive(bad):
 
 
 def test_shared_tables_stay_precise_when_texels_take_one_byte():
-    storages = {name: kind for _, name, _, kind in make("pca", {"components": 2}, storage="png8").textures()}
+    storages = {name: kind for _, name, _, kind, _ in make("pca", {"components": 2}, storage="png8").textures()}
     assert storages == {"component_000": "png8", "component_001": "png8", "weight": "half", "directions": "float"}

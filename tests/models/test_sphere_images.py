@@ -286,7 +286,7 @@ def test_names_of_angles():
 
 def test_pictures_are_stored_as_the_material_says_and_the_turn_is_not():
     material = SphereImages.from_brdf(GLOSSY, size=16, storage="png8")
-    kinds = {name: kind for _, name, _, kind in material.textures()}
+    kinds = {name: kind for _, name, _, kind, _ in material.textures()}
     assert kinds["images_045"] == "png8" and kinds["turn"] == "half"
     assert material.shared_bytes == 4 * 16 * 16 * 3 + 2 * 3
     exported = material.as_exported()

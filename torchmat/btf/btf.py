@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 
 from torchmat.btf.decode import Decoder
+from torchmat.btf.pixels import checksum
 from torchmat.btf.store import CLIPPED, INVALID, PixelStore, summarise
 from torchmat.btf.stream import Block, runs, stream_blocks
 from torchmat.errors import RangeError, ShapeError, check_finite, check_unit, message
@@ -186,6 +187,19 @@ class Btf:
         arrays += [part[row] for part in (store.pixels, store.flags) if part is not None for row in chosen]
         for array in arrays:
             digest.update(np.ascontiguousarray(array).tobytes())
+        return digest.hexdigest()
+
+    def digest(self) -> str:
+        """Return a text that other data has not: of all codes, of directions, and of how the codes are read."""
+        store = self._store
+        if store.checksums is None:
+            clear = np.zeros(store.pixels.shape[2:], np.uint8)
+            flags = (clear if store.flags is None else store.flags[row] for row in range(len(self)))
+            sums = np.array([checksum(codes, marks) for codes, marks in zip(store.pixels, flags, strict=True)], np.int64)
+        else:
+            sums = store.checksums.astype(np.int64)
+        digest = hashlib.sha256(self.identity().encode())
+        digest.update(sums.tobytes())
         return digest.hexdigest()
 
     def picked(self, indices: Sequence[int] | Tensor) -> Btf:

@@ -31,7 +31,7 @@ from torchmat.btf.pixels import Normaliser, PixelOptions, checksum, decode_sampl
 from torchmat.btf.readers import open_pixels
 from torchmat.btf.source import File, Folder, Zip
 from torchmat.btf.store import PixelStore
-from torchmat.errors import DataError, RangeError, message
+from torchmat.errors import DataError, RangeError, message, notice
 from torchmat.text_file import read_text
 
 _FORMAT = 5
@@ -110,7 +110,7 @@ def _require_space(folder: Path, size: int) -> None:
     if size * 4 // 3 > free:
         fact = f"{size / 1e9:.2f} GB are needed and {free / 1e9:.2f} GB are free"
         step = "Free some space, move the cache (--cache DIR, TORCHMAT_CACHE), or use crop or downscale."
-        raise DataError(message(str(folder.parent), "the cache folder", "have room for the decoded BTF", fact, step))
+        raise atomic.Unwritable(message(str(folder.parent), "the cache folder", "have room for the decoded BTF", fact, step))
 
 
 @dataclass(frozen=True)
@@ -144,7 +144,8 @@ def _open(folder: Path, fingerprint: str) -> OpenStore | None:
     # Copy-on-write rather than read-only: torch refuses to wrap memory that it may not write to.
     pixels = np.memmap(folder / _PIXELS, dtype, "c", shape=shape)
     flags = np.memmap(folder / _FLAGS, np.uint8, "c", shape=(shape[0], *shape[2:])) if header["flagged"] else None
-    store = PixelStore(pixels, flags, arrays["clipped"], arrays["invalid"], arrays["low"], arrays["high"])
+    found = {name: arrays[name] for name in ("clipped", "invalid", "low", "high")}
+    store = PixelStore(pixels, flags, **found, checksums=arrays["checksum"])
     if any(len(array) != shape[0] for array in arrays.values()) or not _matches_table(store, arrays["checksum"]):
         return None
     light, view = torch.from_numpy(arrays["light"]), torch.from_numpy(arrays["view"])
@@ -232,6 +233,10 @@ def _make(
     return _usable(target, source.fingerprint)
 
 
+def _reason(error: Exception) -> str:
+    return str(error.__cause__ or error).rstrip(".")
+
+
 def open_store(
     source: File | Folder | Zip, list_files: Callable[[], Listing], key: object, options: PixelOptions,
     cache: bool | str | Path, show: bool | None,
@@ -239,7 +244,8 @@ def open_store(
     """Return the decoded store of `source`, from the cache when it holds one that is up to date.
 
     `list_files` is called only when the store has to be made; `key` is whatever else, beside `options`, decides
-    what it holds. Without a cache the store is an unnamed temporary file that ends with the process.
+    what it holds. Without a cache the store is an unnamed temporary file that ends with the process: so too, with a
+    `Notice`, where the cache cannot be written.
     """
     root = cache_folder(cache)
     target = None if root is None else root / store_name(source.path, (key, options))
@@ -251,7 +257,11 @@ def open_store(
         if target is None:
             made = _make_uncached(source, listing, options, show)
         else:
-            made = _make(source, listing, target, options, show)
+            try:
+                made = _make(source, listing, target, options, show)
+            except atomic.Unwritable as error:
+                notice(str(root), f"decoded images are not kept, since the cache cannot be written ({_reason(error)})")
+                target = made = None
         if made is not None:
             return dataclasses.replace(made, from_cache=False)
     step = "Raise TORCHMAT_CACHE_GB if it makes processes remove each other's stores, or choose another folder."

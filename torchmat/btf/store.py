@@ -18,8 +18,8 @@ class PixelStore:
 
     `pixels` [sample, 3, H, W] in any decodable type; `flags` [sample, H, W] uint8 of VALID, CLIPPED, INVALID, or None
     when every sample is valid; `clipped` and `invalid` [sample] count the flagged texels of each image; `low` and
-    `high` [sample] are the smallest and largest code, None where nobody has looked. `pixels` and `flags` may be views
-    of larger arrays.
+    `high` [sample] are the smallest and largest code, and `checksums` those of codes and flags, None where nobody has
+    looked. `pixels` and `flags` may be views of larger arrays.
     """
 
     pixels: np.ndarray
@@ -28,6 +28,7 @@ class PixelStore:
     invalid: np.ndarray
     low: np.ndarray | None = None
     high: np.ndarray | None = None
+    checksums: np.ndarray | None = None
 
     def release(self, samples: range) -> None:
         """Drop the mapped pages of `samples` from memory, so that a pass over a large file leaves no trace of itself."""

@@ -111,7 +111,8 @@ def options_of(texts: list[str]) -> dict[str, Any]:
 
 def provenance_of(material: str) -> dict[str, Any]:
     """Return what a material folder says of where it comes from; nothing of another path."""
-    from torchmat.material_io.folder import MANIFEST, read_manifest
+    from torchmat.material_io.folder import MANIFEST
+    from torchmat.material_io.read_folder import read_manifest
 
     found = read_manifest(material).get("provenance") if (Path(material) / MANIFEST).is_file() else None
     return dict(found) if isinstance(found, dict) else {}
@@ -127,9 +128,24 @@ def check_apart(command: str, out: Path, *materials: str) -> None:
             raise RangeError(message(command, "--out", "be another than the material", f"both are {material}", step))
 
 
-def check_out(command: str, out: Path, *materials: str) -> None:
+def check_out(command: str, out: Path, *materials: str, force: bool = False) -> None:
     """Raise unless `out` may become a material folder, and is none of the `materials` that the command works on."""
     from torchmat.material_io import check_target
 
     check_apart(command, out, *materials)
-    check_target(out)
+    check_target(out, force)
+
+
+def still_free(out: Path, force: bool) -> Path:
+    """Return `out`, or a free name beside it when something was painted there while the result was made."""
+    from torchmat import atomic
+    from torchmat.errors import DataError, notice
+    from torchmat.material_io import check_target
+
+    try:
+        check_target(out, force)
+        return out
+    except DataError as error:
+        other = atomic.free_name(out, "new")
+        notice(str(error), f"The result is in {other} instead")
+        return other

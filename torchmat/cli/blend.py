@@ -31,6 +31,8 @@ class Blend:
     """bilinear, nearest or area: how the second material and the mask are brought to the size of the first."""
     out: Path = Path("out")
     """Folder to write, another one than those of the materials; an earlier material there is replaced."""
+    force: bool = False
+    """Replace it even if it was painted or edited since, and keep it as NAME.backup-1."""
     no_pictures: bool = False
     """Write the material only."""
 
@@ -40,7 +42,7 @@ class Blend:
         from torchmat.models import blend
         from torchmat.report.write import write_edited
 
-        check_out("blend", self.out, self.first, self.second)  # before the work, not after it
+        check_out("blend", self.out, self.first, self.second, force=self.force)  # before the work, not after it
         if self.weight is not None and self.mask is not None:
             step = "Leave one of them out."
             raise RangeError(message("blend", "--weight and --mask", "not both be given", "they are", step))
@@ -49,7 +51,7 @@ class Blend:
         mixed = blend(first, second, weight, self.filter)
         by = {"weight": weight} if self.mask is None else {"mask": self.mask.name}
         provenance = {"blend": {"of": [Path(path).resolve().name for path in (self.first, self.second)], **by}}
-        print(f"material   {write_edited(mixed, self.out, provenance, pictures=not self.no_pictures)}")
+        print(f"material   {write_edited(mixed, self.out, provenance, pictures=not self.no_pictures, force=self.force)}")
 
     def _weights(self, mask: Path, first):
         from torchmat.btf.photographs import read_linear

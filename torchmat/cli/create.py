@@ -20,12 +20,14 @@ class Create:
     """A picture; a folder of textures, named as ambientCG, Poly Haven, FreePBR, Quixel, Substance, Poliigon and others name
     them; a .binary or .bsdf file; or, with --circle, a folder of photographs of a sphere."""
     out: Path = Path("out")
-    """Folder to write; an earlier material there is replaced."""
+    """Folder to write; an earlier material there is replaced, unless something in it was painted or edited."""
+    force: bool = False
+    """Replace it even so, and keep it as NAME.backup-1."""
     height_scale: float | None = None
     """Height of white in texture widths, 0 for a flat surface (default: 0.05; of textures, as their normals say)."""
     storage: str | None = None
-    """How textures are stored: png8, png16, tiff8, tiff16, half or float (default: png8; half of a BRDF or sphere, whose
-    highlights outshine the rest by far)."""
+    """How textures are stored: paint8 or paint16 (codes span what a map can be, rotation is a hue), png8, png16, tiff8,
+    tiff16, half or float (default: paint8; half of a BRDF or sphere, whose highlights outshine the rest by far)."""
     no_pictures: bool = False
     """Write the material only."""
     specular: list[str] = field(default_factory=lambda: ["glossy"])
@@ -41,7 +43,7 @@ class Create:
     centre: Annotated[list[tuple[float, float]], tyro.conf.UseAppendAction] = field(default_factory=list)
     """Picture only: u and v (0 to 1, v up) about which the specular map turns; may be repeated."""
     tilt: str | None = None
-    """Picture only: default, velvet, gentle or flat."""
+    """Picture only: default, velvet, gentle or flat; or points DEGREES:TILT,... as 0:0,30:0.1,90:1."""
     tiles: bool = False
     """Picture only: it repeats; textures of a set always do."""
     encoding: str = "auto"
@@ -69,7 +71,7 @@ class Create:
         from torchmat.material_io import check_target, save_material
         from torchmat.report.maps import hemisphere_picture, maps_picture
 
-        check_target(self.out)  # before the work, not after it
+        check_target(self.out, self.force)  # before the work, not after it
         material = self._make()
 
         def draw(building: Path) -> None:
@@ -77,7 +79,7 @@ class Create:
                 maps_picture(material, building / "maps.png")
                 hemisphere_picture(material, building / "hemisphere.png")
 
-        folder = save_material(material, self.out, {"created_from": Path(self.path).resolve().name}, draw)
+        folder = save_material(material, self.out, {"created_from": Path(self.path).resolve().name}, draw, self.force)
         for path in sorted(folder.iterdir()):
             print(f"material   {path}")
 
@@ -121,7 +123,7 @@ class Create:
         print("\n".join([f"{kind:16s} {file}" for kind, file in found.rows()] + found.notes()))
         return material_from_textures(
             self.path, lobes=self.lobes, height_scale=self.height_scale, occlusion=self.occlusion,
-            storage=self.storage or "png8", say=print,
+            storage=self.storage or "paint8", say=print,
         )
 
     def _from_picture(self):
@@ -136,6 +138,6 @@ class Create:
             read_linear(self.path, self.encoding), lobes=len(self.specular), specular=self.specular,
             mask_brightness=self.mask[0], mask_contrast=self.mask[1], fresnel_brightness=self.fresnel[0],
             fresnel_contrast=self.fresnel[1], darken=self.darken, softness=self.softness,
-            rotation_centres=self.centre, tilt=self.tilt, tiles=self.tiles, storage=self.storage or "png8",
+            rotation_centres=self.centre, tilt=self.tilt, tiles=self.tiles, storage=self.storage or "paint8",
             seed=self.seed, **scale,
         )

@@ -25,6 +25,8 @@ class Export:
     out: Path | None = None
     """File or folder to write (default: called as the material, in the current folder). An earlier export there is
     replaced. The losses are written into the folder (loss.json) or beside the file (NAME.loss.json)."""
+    force: bool = False
+    """Replace it even if it was changed since, and keep it as NAME.backup-1."""
     set: Annotated[list[str], tyro.conf.UseAppendAction] = field(default_factory=list)
     """Option of the exporter, for example --set depth=16; may be repeated."""
 
@@ -36,7 +38,8 @@ class Export:
         out = self.out or Path(Path(self.material).resolve().stem + (exporter.suffix or f"_{exporter.name}"))
         check_apart("export", out, self.material)
         losses = export(
-            load_material(self.material), out, exporter.name, provenance=self._provenance(), **options_of(self.set)
+            load_material(self.material), out, exporter.name, provenance=self._provenance(), force=self.force,
+            **options_of(self.set),
         )
         print(losses)
         print()

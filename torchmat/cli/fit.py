@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, ClassVar
 
 import tyro
 
-from torchmat.cli.arguments import SAMPLE, DataArguments
+from torchmat.cli.again import Run, read_run, run_of
+from torchmat.cli.arguments import SAMPLE, DataArguments, still_free
 
 
 @dataclass
@@ -18,13 +19,19 @@ class Fit:
 
     reads: ClassVar = ("data",)
 
-    model: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="MODEL|CONFIG")]
+    model: Annotated[str | None, tyro.conf.Positional, tyro.conf.arg(metavar="MODEL|CONFIG")] = None
     """Name of a model with its defaults (`torchmat models` lists them; `auto` chooses), or with .toml a config: its path,
     or its name alone for one that ships, such as phong_srf_half_light.toml."""
-    data: str = SAMPLE
-    """Folder or zip of images, or a BRDF file; `sample` is the one that ships with the package."""
-    out: Path = Path("out")
-    """Folder to write; an earlier material there is replaced."""
+    data: str | None = None
+    """Folder or zip of images, or a BRDF file (default: `sample`, which ships with the package)."""
+    out: Path | None = None
+    """Folder to write (default: out); an earlier material there is replaced, unless something in it was painted or
+    edited."""
+    force: bool = False
+    """Replace it even so, and keep it as NAME.backup-1."""
+    again: Path | None = None
+    """Instead of a model: a folder that `fit` wrote, or its report.json. The same fit is run again, to the same folder
+    unless --out names another; refused when the data is not the same. --set changes something of it."""
     set: Annotated[list[str], tyro.conf.UseAppendAction] = field(default_factory=list)
     """Set an option of the model or a key of a config, for example --set residual=half_light or --set tiles=false; may be
     repeated."""
@@ -49,6 +56,8 @@ class Fit:
     no_pictures: bool = False
     """Write the material and report.json only."""
     read: Annotated[DataArguments, tyro.conf.arg(name="")] = field(default_factory=DataArguments)
+    command: tyro.conf.Suppress[tuple[str, ...]] = ()
+    """The command line itself, for the report."""
 
     def _flags(self) -> list[str]:
         """Return the flags that were given as keys of a config; they win over --set."""
@@ -59,7 +68,23 @@ class Fit:
     def check_names(self) -> None:
         from torchmat.cli.early import check_model
 
-        check_model(self.model, self.set)
+        if self.model is not None:
+            check_model(self.model, self.set)
+
+    def _run(self) -> Run | None:
+        """Return the run to repeat, None for a new one."""
+        from torchmat.errors import RangeError, message
+
+        if (self.model is None) == (self.again is None):
+            fact = "neither is given" if self.model is None else "both are"
+            step = "torchmat models lists the models; --again takes a folder that fit wrote."
+            raise RangeError(message("fit", "a model or --again", "be given", fact, step))
+        if self.again is None:
+            return None
+        run = read_run(self.again)
+        if not self.scene:
+            run.check_files()
+        return run
 
     def run(self) -> None:
         from torchmat.fitting import fit, load_config
@@ -72,15 +97,24 @@ class Fit:
         from torchmat.report.decisions_page import outcome_text
         from torchmat.report.tables import fit_tables
 
-        check_target(self.out)  # before the work, not after it
-        config = load_config(self.model, [*self.set, *self._flags()]).read_as(self.read.keywords())
-        scenes = [load_scene(path) for path in self.scene]
+        run = self._run()
+        out = self.out or (Path("out") if run is None else run.folder)
+        check_target(out, self.force)  # before the work, not after it
+        asked = run.config if run is not None else self.model or ""
+        config = load_config(asked, [*self.set, *self._flags()]).read_as(self.read.keywords())
+        names = self.scene or ([] if run is None else [Path(name) for name in run.scenes])
+        scenes = [load_scene(path) for path in names]
         for mesh in (as_mesh(scene.mesh) for scene in scenes):
             if mesh.mapping != "shape":
                 print(f"mesh       {mesh_line(mesh)}")
-        btf = self.read.load(self.data, config.data)
+        data = self.data or (SAMPLE if run is None else run.data)
+        btf = self.read.load(data, config.data)
+        if run is not None:
+            run.check_data(btf)
         result = fit(btf, config, work=self.work, scene=scenes or None, measure=self.measure)
-        folder = write_fit(btf, result, self.out, pictures=not self.no_pictures)
+        result = replace(result, report={**result.report, "run": run_of(config, data, names, btf, self.command)})
+        out = still_free(out, self.force)
+        folder = write_fit(btf, result, out, pictures=not self.no_pictures, force=self.force)
         choice = result.report["figures"].get("auto")
         if choice:
             print(outcome_text(choice).upper() if result.stop_reason == NOT_MET else outcome_text(choice))

@@ -34,6 +34,8 @@ class FitMany:
     """With --tiles: folder that keeps finished tiles; a run that was stopped goes on there."""
     again: bool = False
     """Fit anew what is there already."""
+    force: bool = False
+    """Replace materials that were painted or edited since too, and keep each as NAME.backup-1."""
     no_pictures: bool = False
     """Write the materials and report.json only."""
     read: Annotated[DataArguments, tyro.conf.arg(name="")] = field(default_factory=DataArguments)
@@ -44,21 +46,23 @@ class FitMany:
         if self.data:  # else the text is a list of jobs
             check_model(self.model, self.set)
 
-    def run(self) -> None:
+    def run(self) -> int:
         from torchmat.many import check_target, fit_many, summary_table, write_summary
 
         jobs = self._jobs()
         if self.tiles:
             self._run_tiles(jobs)
-            return
+            return 0
         summary = self.out / "summary"
         check_target(summary)  # before the work, not after it
         rows = fit_many(
-            jobs, workers=self.workers, scheduler=self.scheduler, again=self.again, pictures=not self.no_pictures
+            jobs, workers=self.workers, scheduler=self.scheduler, again=self.again, pictures=not self.no_pictures,
+            force=self.force,
         )
         print(summary_table(rows))
         print()
         print(f"summary    {write_summary(rows, summary)}")
+        return int(any(row["failed"] for row in rows))
 
     def _jobs(self):
         from torchmat.errors import RangeError, message
@@ -86,9 +90,9 @@ class FitMany:
             step = "Leave --tiles out to share out whole materials."
             raise RangeError(message("fit-many", "--tiles", "be of one material", f"there are {len(jobs)}", step))
         job = jobs[0]
-        check_target(job.out)
+        check_target(job.out, self.force)
         btf, result = fit_by_tiles(job, workers=self.workers, scheduler=self.scheduler, work=self.work)
-        folder = write_fit(btf, result, job.out, pictures=not self.no_pictures)
+        folder = write_fit(btf, result, job.out, pictures=not self.no_pictures, force=self.force)
         print(fit_tables(result.report))
         print()
         print(f"material   {folder}")

@@ -20,7 +20,9 @@ class Geometry:
     path: Annotated[str, tyro.conf.Positional]
     """BTF or RTI capture, a folder of photographs with --lights or --ball, or one picture."""
     out: Path = Path("relief")
-    """Folder to write."""
+    """Folder to write; an earlier relief there is replaced, unless something in it was painted."""
+    force: bool = False
+    """Replace it even so, and keep it as NAME.backup-1."""
     tiles: bool = False
     """The surface repeats: its left border continues its right one."""
     depth: str = "16"
@@ -38,7 +40,7 @@ class Geometry:
         from torchmat.report.lights import ball_picture
         from torchmat.report.pictures import relief_picture
 
-        check_target(self.out)  # before the work, not after it
+        check_target(self.out, self.force)  # before the work, not after it
         relief, described = self._recover()
 
         def draw(building: Path) -> None:
@@ -46,7 +48,7 @@ class Geometry:
             if self.read.ball is not None and self.read.circle is not None:
                 ball_picture(self.read.ball, self.read.circle, building / "ball.png")
 
-        folder = save_relief(relief, self.out, self.depth, {"source": self.path, **described}, draw)
+        folder = save_relief(relief, self.out, self.depth, {"source": self.path, **described}, draw, self.force)
         for path in sorted(folder.iterdir()):
             print(f"relief     {path}")
 

@@ -21,8 +21,10 @@ class Pack:
     """Material folder of a distribution material."""
     out: Path = Path("packed")
     """Folder to write; packed textures that are there are replaced."""
+    force: bool = False
+    """Replace them even if they were changed since, and keep them as NAME.backup-1."""
     depth: int = 8
     """8 or 16 bits a channel; specular maps are half floats and the tilt has 16 bits in both."""
 
     def run(self) -> None:
-        Export(self.material, to="packed", out=self.out, set=[f"depth={self.depth}"]).run()
+        Export(self.material, to="packed", out=self.out, force=self.force, set=[f"depth={self.depth}"]).run()

@@ -8,7 +8,7 @@ from typing import Annotated, Any, ClassVar
 
 import tyro
 
-from torchmat.cli.arguments import SAMPLE, DataArguments, check_out, names_of, provenance_of
+from torchmat.cli.arguments import SAMPLE, DataArguments, check_out, names_of, provenance_of, still_free
 
 
 @dataclass
@@ -39,6 +39,8 @@ class Refit:
     """pair, light, view or arc (default: as the material's first fit had it, else pair)."""
     seed: int | None = None
     """Seed of the split and of the steps (default: that of the material's first fit, else 0)."""
+    force: bool = False
+    """Replace it even if it was painted or edited since, and keep it as NAME.backup-1."""
     no_pictures: bool = False
     """Write the material and report.json only."""
     read: Annotated[DataArguments, tyro.conf.arg(name="")] = field(default_factory=DataArguments)
@@ -48,7 +50,7 @@ class Refit:
         from torchmat.report.tables import refit_table
         from torchmat.report.write import write_edited
 
-        check_out("refit", self.out, self.material)  # before the work, not after it
+        check_out("refit", self.out, self.material, force=self.force)  # before the work, not after it
         material, provenance = load_material(self.material), provenance_of(self.material)
         split: dict[str, Any] = {"holdout": 0.2, "holdout_by": "pair", "seed": 0}
         split |= {name: provenance[name] for name in split if name in provenance}
@@ -60,7 +62,9 @@ class Refit:
         )
         step = {"from": Path(self.material).resolve().name, "data": btf.source.path, "kept": found.report["kept"]}
         provenance |= {**split, "refit": {**step, "effort": self.effort, **split}}
-        folder = write_edited(found.material, self.out, provenance, found.report, not self.no_pictures)
+        folder = write_edited(
+            found.material, still_free(self.out, self.force), provenance, found.report, not self.no_pictures, self.force
+        )
         print(refit_table(found.report))
         print()
         print(f"kept       {', '.join(found.report['kept']) or 'nothing'}")

@@ -15,11 +15,11 @@ from torch import Tensor
 from torchmat import colour, safe
 from torchmat.errors import RangeError, ShapeError, check_finite, message
 from torchmat.geometry.rays import texel_centres
+from torchmat.models.hue import directions_of, hue_of, is_grey
 
 _MOST_COLOURS = 20_000  # texels that k-means sees: more do not move its centres
 _STARTS = 4
 _LEAST_SOFTNESS = 0.01  # far below what an eye tells apart; smaller ones divide by nothing
-_GREY = 1e-3  # a saturation below it has no hue but rounding
 
 
 def check_picture(where: str, picture: Tensor) -> None:
@@ -134,14 +134,10 @@ def rotation_to_hue(rotation: Tensor) -> Tensor:
 
     Saturation and value are full (Liao 2011, fig. 3.19). Vectors of any length but 0 will do.
     """
-    from kornia.color import hsv_to_rgb
-
     if rotation.ndim != 3 or rotation.shape[0] != 2:
         raise ShapeError(message("rotation_to_hue", "rotation", "be [2, H, W]", f"it is {tuple(rotation.shape)}"))
     check_finite("rotation_to_hue", "rotation", rotation)
-    angle = torch.atan2(rotation[1], rotation[0]) % (2 * math.pi)
-    full = torch.ones_like(angle)
-    return hsv_to_rgb(torch.stack((angle, full, full))).clamp(0, 1)
+    return hue_of(rotation)
 
 
 def hue_to_rotation(picture: Tensor) -> Tensor:
@@ -149,13 +145,10 @@ def hue_to_rotation(picture: Tensor) -> Tensor:
 
     Saturation and value do not matter, but a grey texel has no hue: RangeError says how many there are.
     """
-    from kornia.color import rgb_to_hsv
-
     check_picture("hue_to_rotation", picture)
-    hue, saturation, _ = rgb_to_hsv(picture)
-    grey = saturation < _GREY
+    grey = is_grey(picture)
     if bool(grey.any()):
         fact = f"{int(grey.sum())} of {grey.numel()} texels are grey, first at {tuple(grey.nonzero()[0].tolist())}"
         step = "Paint them in a colour: red is to the right, its hue turns toward up."
         raise RangeError(message("hue_to_rotation", "the picture", "have a hue everywhere", fact, step))
-    return torch.stack((torch.cos(hue), torch.sin(hue)))
+    return directions_of(picture)

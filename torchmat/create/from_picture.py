@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import torch
 from torch import Tensor
@@ -13,6 +13,7 @@ from torchmat.create.specular_maps import specular_map, tilt_curve
 from torchmat.errors import ShapeError, message
 from torchmat.geometry import relief_from_picture
 from torchmat.models.distribution import Distribution
+from torchmat.models.storage import StoredAs
 
 _WHERE = "material_from_picture"
 
@@ -22,7 +23,7 @@ def material_from_picture(
     mask_brightness: float | None = 0.0, mask_contrast: float = 1.0, fresnel_brightness: float | None = -0.43,
     fresnel_contrast: float = 0.1, darken: float = 0.2, height_scale: float = 0.05, softness: float = 0.0,
     rotation_centres: Sequence[Sequence[float]] = (), tilt: str | Tensor | None = None, tiles: bool = False,
-    storage: str = "png8", seed: int = 0,
+    storage: str = "paint8", seed: int = 0,
 ) -> Distribution:
     """Return the material that an evenly lit `picture` [3, H, W], linear and >= 0, suggests.
 
@@ -33,7 +34,8 @@ def material_from_picture(
     brightness and contrast (None for the brightness: no such map); by default r0 is 0.02 to 0.12, as of what is no
     metal, and the mask the luminance itself. Diffuse is the picture less the share `darken`.
     `rotation_centres` (u, v) turn the lookup about them, `tilt` is a name or a curve [1, 1, 91]; without them there
-    is no such map. Raises RangeError or ShapeError, naming what does not fit. Liao 2011 darkens and adjusts 8-bit
+    is no such map. The codes of the textures span what each map can be (`storage` "paint8" and "paint16"), the height's
+    from black to white. Raises RangeError or ShapeError, naming what does not fit. Liao 2011 darkens and adjusts 8-bit
     codes; here all is linear light, but for the height, which is taken from what people see.
     """
     check_picture(_WHERE, picture)
@@ -54,17 +56,30 @@ def material_from_picture(
         maps["rotation"] = draw_360(size, rotation_centres)
     if tilt is not None:
         maps["tilt"] = tilt_curve(tilt) if isinstance(tilt, str) else tilt
+    stored = {}
     if height_scale != 0:
-        maps["height"] = relief_from_picture(colour.display(picture), height_scale, tiles=tiles).height
-    return assemble(maps, lobes, tiles, storage)
+        shown = colour.display(picture)
+        maps["height"] = relief_from_picture(shown, height_scale, tiles=tiles).height
+        stored["height"] = black_to_white(colour.luminance(shown), height_scale)
+    return assemble(maps, lobes, tiles, storage, stored)
 
 
-def assemble(maps: dict[str, Tensor], lobes: int, tiles: bool, storage: str) -> Distribution:
+def black_to_white(share: Tensor, height_scale: float) -> StoredAs:
+    """Return how to store a height of zero mean that is `height_scale` times `share` (0 to 1): from black to white."""
+    black = float(-(share * height_scale).mean())
+    return StoredAs(span=(black, black + height_scale))
+
+
+def assemble(
+    maps: dict[str, Tensor], lobes: int, tiles: bool, storage: str, stored: Mapping[str, StoredAs] | None = None
+) -> Distribution:
     """Return the material of these maps; its optional parts are those that are there."""
     always = ("diffuse", "index", "specular", "height", "opacity")
     channels = len(maps["specular_mask"]) if "specular_mask" in maps else 1
     parts = [name for name in maps if name not in always]
-    return Distribution(maps, lobes=lobes, parts=parts, mask_channels=channels, tiles=tiles, storage=storage)
+    return Distribution(
+        maps, lobes=lobes, parts=parts, mask_channels=channels, tiles=tiles, storage=storage, stored=stored
+    )
 
 
 def _specular(specular: Sequence[str | Tensor], lobes: int) -> list[Tensor]:

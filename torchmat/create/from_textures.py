@@ -10,13 +10,14 @@ import torch
 from torch import Tensor
 
 from torchmat import safe
-from torchmat.create.from_picture import assemble
+from torchmat.create.from_picture import assemble, black_to_white
 from torchmat.create.specular_maps import disc
 from torchmat.create.textures import find_textures, read_textures
 from torchmat.errors import DataError, RangeError, check_finite, message
 from torchmat.geometry import normals_from_slopes, slopes_from_height, slopes_from_normals
 from torchmat.geometry.normals import check_height_scale
 from torchmat.models.distribution import Distribution
+from torchmat.models.storage import StoredAs
 
 _WHERE = "material_from_textures"
 DIELECTRIC = 0.04  # r0 of a refractive index of 1.5
@@ -29,7 +30,7 @@ _FINE = 4  # samples a texel and axis: the peak of a sharp lobe is averaged over
 
 def material_from_textures(
     folder: str | Path, *, lobes: int = 3, height_scale: float | None = None, occlusion: bool = False, size: int = _SIZE,
-    tiles: bool = True, storage: str = "png8", say: Callable[[str], None] | None = None,
+    tiles: bool = True, storage: str = "paint8", say: Callable[[str], None] | None = None,
 ) -> Distribution:
     """Return the material of a folder of textures, named as vendors name them (see `find_textures`).
 
@@ -57,7 +58,8 @@ def material_from_textures(
             step = "Add one whose name ends in _AmbientOcclusion, or leave the occlusion out."
             raise DataError(message(str(folder), "the folder", "hold an occlusion texture", "it holds none", step))
         maps["diffuse"] = maps["diffuse"] * textures["ambientocclusion"]
-    maps |= _shape(folder, textures, height_scale, tiles, say)
+    shape, stored = _shape(folder, textures, height_scale, tiles, say)
+    maps |= shape
     if "opacity" in textures:
         maps["opacity"] = textures["opacity"]
     rough = textures.get("roughness")
@@ -65,13 +67,13 @@ def material_from_textures(
         rough = torch.full_like(colour[:1], _ROUGHNESS)
         say(f"roughness: no file gives it; {_ROUGHNESS} is taken")
     if rough is None:
-        return assemble(maps, 0, tiles, storage)
+        return assemble(maps, 0, tiles, storage, stored)
     levels, index = quantised(rough, lobes)
     maps |= _reflectance(colour, metal, textures.get("f0"))
     maps["specular"] = torch.cat([ggx_lobe(float(level), size) for level in levels])
     if len(levels) > 1:
         maps["index"] = index
-    return assemble(maps, len(levels), tiles, storage)
+    return assemble(maps, len(levels), tiles, storage, stored)
 
 
 def _filled(textures: dict[str, Tensor]) -> dict[str, Tensor]:
@@ -88,9 +90,10 @@ def _filled(textures: dict[str, Tensor]) -> dict[str, Tensor]:
 
 def _shape(
     folder: str | Path, textures: dict[str, Tensor], height_scale: float | None, tiles: bool, say: Callable[[str], None]
-) -> dict[str, Tensor]:
-    """Return the height, and the normal map: alone, or what is left of it beside the height."""
-    found = {}
+) -> tuple[dict[str, Tensor], dict[str, StoredAs]]:
+    """Return the height, and the normal map: alone, or what is left of it beside the height; and how they are stored."""
+    found: dict[str, Tensor] = {}
+    stored: dict[str, StoredAs] = {}
     rise = slopes_from_height(textures["displacement"], tiles=tiles) if "displacement" in textures else None
     slopes = _normal_slopes(folder, textures, rise, tiles, say)
     if rise is not None and height_scale != 0:
@@ -103,10 +106,11 @@ def _shape(
         say(f"height: white lies {height_scale:.3g} texture widths over black, {why}")
         height = textures["displacement"] * height_scale
         found["height"] = height - height.mean()
+        stored["height"] = black_to_white(textures["displacement"], height_scale)
         slopes = None if slopes is None else slopes - slopes_from_height(found["height"], tiles=tiles)
     if slopes is not None:
         found["normal"] = normals_from_slopes(slopes)
-    return found
+    return found, stored
 
 
 def _normal_slopes(

@@ -10,7 +10,9 @@ from __future__ import annotations
 import inspect
 import math
 from collections.abc import Callable, Sequence
+from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -94,14 +96,15 @@ SPECULAR_MAPS: dict[str, Callable[..., Tensor]] = {
 }
 
 
-def specular_map(text: str) -> Tensor:
+def specular_map(text: str, size: int | None = None) -> Tensor:
     """Return the map of a name with controls, such as ``glossy`` or ``anisotropic:ratio=6,width=0.1,colour=1/0.8/0.5``.
 
-    Raises RangeError for a name or control that does not exist, naming the nearest, or a value that is no number.
+    `size` is its side where the text gives none. Raises RangeError for a name or control that does not exist, naming the
+    nearest, or a value that is no number.
     """
     name, _, rest = text.partition(":")
     check_option("specular map", "the name", name, SPECULAR_MAPS)
-    controls = {}
+    controls: dict[str, Any] = {} if size is None else {"size": size}
     for part in filter(None, rest.split(",")):
         key, _, value = part.partition("=")
         check_known_keys(f"specular map {name!r}", [key], inspect.signature(SPECULAR_MAPS[name]).parameters)
@@ -130,7 +133,33 @@ TILTS: dict[str, Tensor] = {
 }
 
 
-def tilt_curve(name: str) -> Tensor:
-    """Return a copy of the tilt curve [1, 1, 91] of that name; raises RangeError, naming the nearest, for another."""
-    check_option("tilt", "the name", name, TILTS)
-    return TILTS[name].clone()
+def tilt_curve(text: str) -> Tensor:
+    """Return the tilt curve [1, 1, 91] of a name, or through points such as ``0:0,30:0.1,90:1`` (degrees:tilt).
+
+    Raises RangeError for another name, naming the nearest, or for what are no points.
+    """
+    if ":" not in text:
+        check_option("tilt", "the name", text, TILTS)
+        return TILTS[text].clone()
+    try:
+        points = [tuple(float(number) for number in part.split(":")) for part in text.split(",")]
+    except ValueError as error:
+        raise RangeError(message("tilt", "points", "be DEGREES:TILT,...", f"they are {text!r}")) from error
+    return tilt_through(points)
+
+
+def tilt_through(points: Sequence[Sequence[float]]) -> Tensor:
+    """Return the tilt curve [1, 1, 91] through points (degrees 0 to 90, tilt 0 to 1), straight between them.
+
+    Beyond the first and the last point it is even. Raises RangeError for points that are not so, or share an angle.
+    """
+    wrong = [point for point in points if len(point) != 2 or not (0 <= point[0] <= 90 and 0 <= point[1] <= 1)]
+    ordered = sorted(tuple(point) for point in points if not wrong)
+    twice = [one[0] for one, other in zip(ordered, ordered[1:], strict=False) if one[0] == other[0]]
+    if wrong or twice or not ordered:
+        fact = f"{wrong[0]} is not" if wrong else f"{twice[0]:g} degrees stand there twice" if twice else "there is none"
+        requirement = "be one or more of degrees in [0, 90] and tilt in [0, 1], each angle once"
+        raise RangeError(message("tilt", "points", requirement, fact))
+    angles, values = zip(*ordered, strict=True)
+    curve = np.interp(np.arange(TILT_SAMPLES), angles, values)
+    return torch.from_numpy(curve).float()[None, None]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 import math
 import tomllib
@@ -109,19 +110,21 @@ def make_config(table: dict[str, Any], where: str = "config") -> FitConfig:
         raise RangeError(str(error) if where == "config" else f"{where}: {error}") from error
 
 
-def load_config(name: str | Path, overrides: Sequence[str] = ()) -> FitConfig:
+def load_config(name: str | Path | Mapping[str, Any], overrides: Sequence[str] = ()) -> FitConfig:
     """Read a TOML config, or take a model with its defaults.
 
     Args:
         name: a text with a suffix or a folder, or a Path, is a TOML file: as it stands, or where there is none, the
             config of that name that ships with the package ("phong_srf_half_light.toml"). Every other text is the name
-            of a model, or "auto".
+            of a model, or "auto". A table is a config that was read already.
         overrides: texts such as ``seed=3``, ``target.psnr=25``, ``options.terms=16`` or in short ``terms=16``: a key that
             no config has is an option of the model. A value that is not TOML counts as a plain string.
 
     Raises DataError or RangeError, naming the file or the key.
     """
-    if isinstance(name, Path) or is_config(name):
+    if isinstance(name, Mapping):
+        table, where = copy.deepcopy(dict(name)), "config"
+    elif isinstance(name, Path) or is_config(name):
         path = find_file(name)
         table, where = read_toml(path, "the config"), str(path)
     else:

@@ -17,7 +17,7 @@ DONE, SKIPPED, FAILED = "done", "skipped", "failed"
 
 def fit_many(
     jobs: Sequence[Job], *, workers: int = 0, scheduler: str | None = None, again: bool = False, pictures: bool = False,
-    show: bool | None = None,
+    force: bool = False, show: bool | None = None,
 ) -> list[dict[str, Any]]:
     """Fit all jobs and write each result as `torchmat fit` does; return a row for each, in their order.
 
@@ -36,18 +36,18 @@ def fit_many(
     left = [number for number in range(len(jobs)) if number not in rows]
     if left:
         with cluster(workers if scheduler else min(workers or os.cpu_count() or 1, len(left)), scheduler) as client:
-            found = _run(client, [jobs[number] for number in left], pictures)
+            found = _run(client, [jobs[number] for number in left], pictures, force)
             for place, row in progress(found, "materials", total=len(left), show=show):
                 rows[left[place]] = row
     return [rows[number] for number in range(len(jobs))]
 
 
-def _run(client: Any, jobs: list[Job], pictures: bool) -> Iterator[tuple[int, dict[str, Any]]]:
+def _run(client: Any, jobs: list[Job], pictures: bool, force: bool) -> Iterator[tuple[int, dict[str, Any]]]:
     """Yield (place, row) of jobs as they end."""
     from distributed import as_completed
 
     # Not pure: a job writes a folder, and the same job twice is two.
-    futures = {client.submit(fit_one, job, pictures, pure=False): place for place, job in enumerate(jobs)}
+    futures = {client.submit(fit_one, job, pictures, force, pure=False): place for place, job in enumerate(jobs)}
     for future in as_completed(futures, loop=client.loop, raise_errors=False):
         place = futures[future]
         if future.status == "finished":
@@ -66,7 +66,7 @@ def _reason(future: Any) -> str:
     return f"{type(error).__name__}: {error}" if error else f"it was {future.status}"
 
 
-def fit_one(job: Job, pictures: bool = False) -> dict[str, Any]:
+def fit_one(job: Job, pictures: bool = False, force: bool = False) -> dict[str, Any]:
     """Fit one job in this process and write its result; return its row."""
     from torchmat.btf import load_btf
     from torchmat.fitting import fit
@@ -75,10 +75,10 @@ def fit_one(job: Job, pictures: bool = False) -> dict[str, Any]:
 
     start = time.perf_counter()
     try:
-        check_target(job.out)
+        check_target(job.out, force)
         btf = load_btf(job.data, **job.reading, progress=False)
         result = fit(btf, job.settled, progress=False)
-        write_fit(btf, result, job.out, pictures=pictures)
+        write_fit(btf, result, job.out, pictures=pictures, force=force)
     except TorchmatError as error:
         return _row(job, FAILED, failed=str(error), seconds=time.perf_counter() - start)
     except Exception as error:  # whatever it is, it must not end the others

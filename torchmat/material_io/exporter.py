@@ -14,9 +14,10 @@ from typing import Any
 from torch import Tensor, nn
 
 from torchmat import atomic, safe
-from torchmat.errors import RangeError, TorchmatError, check_option, message
+from torchmat.errors import DataError, RangeError, TorchmatError, check_option, message
 from torchmat.models import Material
 from torchmat.models.resample import VECTORS
+from torchmat.written import changed_files
 
 _MISSING: Any = None  # of what must be given, which is checked with an error that says so
 LOSS = "loss.json"
@@ -99,6 +100,7 @@ class Exporter:
         suffix: of the file that it writes, such as ".glb"; None writes a folder.
         known: ``known(folder)`` returns which files there are an earlier export's, and may be replaced: by default those
             that its ``loss.json`` lists.
+        record: the file in such a folder that keeps the digests of the others (`torchmat.written`).
 
     Raises RangeError when a part is missing or is not what it must be.
     """
@@ -108,6 +110,7 @@ class Exporter:
     write: Callable[..., Losses] = _MISSING
     suffix: str | None = None
     known: Callable[[Path], Callable[[str], bool]] = listed_files
+    record: str = LOSS
 
     def __post_init__(self) -> None:
         if not isinstance(self.name, str) or not re.fullmatch(r"[a-z0-9][a-z0-9_-]*", self.name):
@@ -132,13 +135,16 @@ class Exporter:
 
     def write_whole(
         self, material: Material, target: Path, options: Mapping[str, Any], provenance: Mapping[str, Any] | None = None,
-        more: Callable[[Path, Losses], None] | None = None,
+        more: Callable[[Path, Losses], None] | None = None, backup: bool = False,
     ) -> Losses:
-        """Write a material to `target`, which appears whole or not at all; `more` may add to a folder before it does."""
+        """Write a material to `target`, which appears whole or not at all; `more` may add to a folder before it does.
+
+        With `backup` what stood there stays under another name (`atomic.backup_name`).
+        """
         keywords = dict(options)
         if provenance is not None and "provenance" in self._keywords():
             keywords["provenance"] = dict(provenance)
-        with (atomic.building_file if self.suffix else atomic.building)(target) as built:
+        with (atomic.building_file if self.suffix else atomic.building)(target, backup=backup) as built:
             try:
                 losses = self.write(material, built, **keywords)
             except TorchmatError as error:
@@ -152,6 +158,39 @@ class Exporter:
             if more is not None:
                 more(built, losses)
         return losses
+
+    def check_folder(self, target: Path, what: str, force: bool = False) -> bool:
+        """Raise DataError unless the folder `target` may be replaced: see `atomic.refuse_foreign`, which says of `what`."""
+        found = [changed_files(target / name) for name in {self.record, LOSS} if (target / name).is_file()]
+        told = [names for names in found if names is not None]
+        changed = sorted({name for names in told for name in names}) if told or not found else None
+        return atomic.refuse_foreign(target, self.known(target), what, changed, force)
+
+    def check_file(self, target: Path, force: bool = False, unknown: bool = False) -> bool:
+        """Raise DataError unless the file `target` may be written: a new name, or an earlier export as it was written.
+
+        `unknown` takes a file of which nothing is known for one. With `force` any file may be replaced; True is returned
+        when a backup must be kept.
+        """
+        if not os.path.lexists(target):
+            return False
+        folder, step = os.path.isdir(target), "Choose another name, or move what is there."
+        fact = "it is a folder" if folder else self._doubt(target, loss_file(target, self), unknown)
+        if not folder and (fact is None or force):
+            return fact is not None
+        if not folder:
+            step += " With --force (force=True) a backup of it is kept."
+        raise DataError(message(str(target), "the target", "be new or an earlier export", str(fact), step))
+
+    @staticmethod
+    def _doubt(target: Path, losses: Path, unknown: bool) -> str | None:
+        """Return why a file may be somebody else's, None when it is an earlier export."""
+        if target.name not in files_of_losses(losses):
+            return None if unknown else f"no {losses.name} says that it is one"
+        changed = changed_files(losses)
+        if changed is None:
+            return f"{losses.name} is of an earlier torchmat, which kept no digests to tell"
+        return "it was changed since torchmat wrote it" if target.name in changed else None
 
 
 EXPORTERS: dict[str, Exporter] = {}

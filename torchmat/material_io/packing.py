@@ -7,7 +7,6 @@ codes become values. The material folder is what one edits; this is what one shi
 
 from __future__ import annotations
 
-import json
 import os
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -19,7 +18,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchmat import atomic, safe
+from torchmat import safe
 from torchmat.errors import DataError, RangeError, TorchmatError, check_finite, check_known_keys, check_option, message
 from torchmat.geometry import normals_from_slopes, slopes_from_height, slopes_from_normals
 from torchmat.images import read_image, write_image
@@ -30,6 +29,7 @@ from torchmat.models.cutout import Cutout
 from torchmat.models.relief_maps import HEIGHT
 from torchmat.models.storage import Codes, MapSpec, decode, encode
 from torchmat.text_file import read_json
+from torchmat.written import write_record
 
 FORMAT, VERSION, DESCRIPTION = "torchmat-packed", 1, "packed.json"
 DEPTHS = (8, 16)
@@ -59,22 +59,25 @@ class Packed:
     contents: tuple[tuple[str, str], ...]
 
 
-def pack(material: Material, folder: str | Path, depth: int = 8, provenance: dict[str, Any] | None = None) -> Path:
+def pack(
+    material: Material, folder: str | Path, depth: int = 8, provenance: dict[str, Any] | None = None, force: bool = False
+) -> Path:
     """Write a distribution material as packed textures that appear whole or not at all; return the folder.
 
     Specular maps are half floats and the tilt has 16 bits at either depth.
 
     Args:
         material: a distribution material.
-        folder: where; what stands there is replaced if it was packed before, else refused.
+        folder: where; what stands there is replaced if it was packed before and not changed since, else refused.
         depth: bits a channel, 8 or 16.
         provenance: what the manifest says of where the material comes from, as JSON has it; None is nothing.
+        force: True replaces what was changed since it was packed too, and keeps a backup as ``NAME.backup-1``.
 
     Raises RangeError for another model and for maps that cannot be stored, DataError when the folder cannot be written.
     """
     target = Path(folder)
-    atomic.refuse_foreign(target, _known_files(target), "a packed material")
-    PACKED.write_whole(material, target, {"depth": depth}, provenance)
+    backup = PACKED.check_folder(target, "a packed material", force)
+    PACKED.write_whole(material, target, {"depth": depth}, provenance, backup=backup)
     return target
 
 
@@ -92,13 +95,13 @@ def write_packed(material: Material, path: Path, *, depth: int = 8, provenance: 
     }
     for texture in textures:
         write_image(path / texture.file, texture.codes.pixels)
-    (path / DESCRIPTION).write_text(json.dumps(described, indent=1, ensure_ascii=False), encoding="utf-8")
+    write_record(path / DESCRIPTION, described)
     return Losses.of_maps(material, _unpacked(textures, material).maps)
 
 
 PACKED = Exporter(
     "packed", "the distribution material in few textures for a shader, 8 or 16 bits (depth)", write_packed,
-    known=_known_files,
+    known=_known_files, record=DESCRIPTION,
 )
 
 

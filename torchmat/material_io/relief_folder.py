@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -16,10 +15,12 @@ from torchmat.errors import check_finite, check_option
 from torchmat.geometry import Relief
 from torchmat.geometry.normals import flip_green
 from torchmat.images import write_image
+from torchmat.written import changed_files, write_record
 
 DEPTHS = ("16", "float")
+_RECORD = "relief.json"
 _FILES = (
-    "relief.json", "height.png", "height.exr", "normal_gl.png", "normal_gl.exr", "normal_dx.png", "normal_dx.exr",
+    _RECORD, "height.png", "height.exr", "normal_gl.png", "normal_gl.exr", "normal_dx.png", "normal_dx.exr",
     "albedo.exr", "confidence.png", "relief.png", "ball.png",
 )
 
@@ -34,19 +35,25 @@ def _floats(planes: Tensor) -> np.ndarray:
     return planes.permute(1, 2, 0).numpy().astype(np.float32)
 
 
-def check_target(target: str | Path) -> None:
-    """Raise DataError unless `target` may be replaced: absent, empty, or an earlier relief and nothing else."""
-    atomic.refuse_foreign(Path(target), lambda name: name in _FILES, "an earlier relief")
+def check_target(target: str | Path, force: bool = False) -> bool:
+    """Raise DataError unless `target` may be replaced: absent, empty, or an earlier relief as torchmat wrote it.
+
+    With `force` an earlier relief may be replaced even so; True is returned when a backup must be kept.
+    """
+    record = Path(target) / _RECORD
+    changed = changed_files(record) if record.is_file() else []
+    return atomic.refuse_foreign(Path(target), lambda name: name in _FILES, "an earlier relief", changed, force)
 
 
 def save_relief(
     relief: Relief, folder: str | Path, depth: str = "16", provenance: dict[str, Any] | None = None,
-    companions: Callable[[Path], None] | None = None,
+    companions: Callable[[Path], None] | None = None, force: bool = False,
 ) -> Path:
     """Write a relief as textures that appear whole or not at all; return the folder.
 
     `depth` "16" writes PNG codes, "float" EXR. `normal_gl` has green up the texture, `normal_dx` down; normals map
-    -1..1 to the codes. `relief.json` states the height's range in texture widths. `companions` may write more.
+    -1..1 to the codes. `relief.json` states the height's range in texture widths. `companions` may write more. An
+    earlier relief is replaced, unless something in it was changed; with `force` then too, and a backup is kept.
     Raises RangeError for values that are not finite, DataError when the folder cannot be written.
     """
     check_option("save_relief", "depth", depth, DEPTHS)
@@ -54,10 +61,10 @@ def save_relief(
         if planes is not None:
             check_finite("save_relief", name, planes)
     target = Path(folder)
-    check_target(target)
+    backup = check_target(target, force)
     low, high = float(relief.height.min()), float(relief.height.max())
     normals = {"normal_gl": relief.normal, "normal_dx": flip_green(relief.normal)}
-    with atomic.building(target) as building:
+    with atomic.building(target, backup=backup) as building:
         if depth == "16":
             write_image(building / "height.png", _codes(relief.height, low, high))
             for name, normal in normals.items():
@@ -71,7 +78,7 @@ def save_relief(
         if relief.confidence is not None:
             write_image(building / "confidence.png", _codes(relief.confidence, 0.0, 1.0))
         described = {"height_low": low, "height_high": high, "unit": "texture widths", "provenance": provenance or {}}
-        (building / "relief.json").write_text(json.dumps(described, indent=1), encoding="utf-8")
         if companions is not None:
             companions(building)
+        write_record(building / _RECORD, described)
     return target

@@ -224,6 +224,10 @@ class Material(Storable):
         kept = {spec.name: self.maps[spec.name] for spec in self.specs() if spec not in RELIEF_MAPS}
         return self._like({**kept, **parts})
 
+    def without_relief(self) -> Self:
+        """Return the material with neither height nor ambient light, for good: its normals are those of its own maps."""
+        return self._like({spec.name: self.maps[spec.name] for spec in self.own_specs()}) if self.has_relief else self
+
     def surface(self) -> Self:
         """Return the material without its relief and opacity: what one texel does with its light."""
         return self.sharing({spec.name: self.maps[spec.name] for spec in self.own_specs()})

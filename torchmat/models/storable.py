@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any, Self
 
 from torch import Tensor, nn
@@ -64,13 +65,18 @@ class Storable(nn.Module):
             size = stored[name].size if isinstance(stored.get(name), StoredAs) and name in maps else None
             if size is not None:
                 maps[name] = resample(maps[name].detach(), size, tiles=False)
-                stored[name] = StoredAs(storage=stored[name].storage)
+                stored[name] = replace(stored[name], size=None)
         return self._like(maps, stored=stored)
 
     def _storage_of(self, spec: MapSpec) -> str:
         # Shared tables are few bytes and set the brightness of every texel, so they keep at least half precision.
-        default = "half" if not spec.per_texel and STORAGES[self.storage].levels == 255 else self.storage
-        return self._stored(spec).storage or spec.storage or default
+        deep = "paint16" if STORAGES[self.storage].natural else "half"
+        default = deep if not spec.per_texel and STORAGES[self.storage].levels == 255 else self.storage
+        usual = deep if spec.storage == "png16" and deep == "paint16" else spec.storage
+        return self._stored(spec).storage or usual or default
+
+    def _is_hue(self, spec: MapSpec) -> bool:
+        return spec.kind == "rotation" and STORAGES[self._storage_of(spec)].natural
 
     def _stored(self, spec: MapSpec) -> StoredAs:
         return self.stored.get(spec.name, StoredAs())
@@ -89,9 +95,12 @@ class Storable(nn.Module):
         found = []
         for spec in self.specs():
             if not self._is_numbers(spec):
-                parts = self._small(spec).split(spec.layer_channels)
-                storage = self._storage_of(spec)
-                found += [StoredTexture(spec, name, part, storage) for name, part in zip(spec.textures, parts, strict=True)]
+                whole, storage, span = self._small(spec), self._storage_of(spec), self._stored(spec).span
+                hue = self._is_hue(spec)  # both channels make one picture
+                names, parts = ((spec.name,), (whole,)) if hue else (spec.textures, whole.split(spec.layer_channels))
+                found += [
+                    StoredTexture(spec, name, part, storage, span) for name, part in zip(names, parts, strict=True)
+                ]
         return found
 
     def numbers(self) -> list[tuple[MapSpec, Tensor]]:
@@ -122,7 +131,8 @@ class Storable(nn.Module):
         if self._is_numbers(spec):
             return 4 * spec.channels
         width = (1 if spec.fits_a_byte else 2) if spec.index else STORAGES[self._storage_of(spec)].bytes
-        return width * spec.channels * math.prod(self._stored(spec).size or self.maps[spec.name].shape[-2:])
+        channels = 3 if self._is_hue(spec) else spec.channels
+        return width * channels * math.prod(self._stored(spec).size or self.maps[spec.name].shape[-2:])
 
     def _is_numbers(self, spec: MapSpec) -> bool:
         return spec.constant or self._stored(spec).numbers

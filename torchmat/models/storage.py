@@ -5,6 +5,7 @@ A material predicts what its textures hold, so both the writer and `Material.as_
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -15,14 +16,20 @@ from torch import Tensor
 
 from torchmat import colour
 from torchmat.errors import RangeError, check_finite, check_known_keys, check_option, message
+from torchmat.models.hue import directions_of, hue_of
 
 
 @dataclass(frozen=True)
 class Storage:
-    """One way to store a texture: file suffix and type of its codes."""
+    """One way to store a texture: file suffix and type of its codes.
+
+    `natural` codes are made to be painted: they span what the map can be rather than the values that occur, colours are
+    sRGB-encoded in any depth, and a rotation is a hue.
+    """
 
     suffix: str
     dtype: str
+    natural: bool = False
 
     @property
     def bytes(self) -> int:
@@ -42,6 +49,8 @@ STORAGES = {
     "png16": Storage(".png", "uint16"),
     "tiff8": Storage(".tif", "uint8"),
     "tiff16": Storage(".tif", "uint16"),
+    "paint8": Storage(".png", "uint8", natural=True),
+    "paint16": Storage(".png", "uint16", natural=True),
 }
 
 
@@ -93,6 +102,11 @@ class MapSpec:
         return self.high is not None and self.high <= 255
 
     @property
+    def looks_coloured(self) -> bool:
+        """Whether a paint program takes the map for a colour: linear RGB, or three channels that are never negative."""
+        return self.colour or (self.layer_channels == 3 and self.low == 0)
+
+    @property
     def channels(self) -> int:
         """Channels of the map: textures times channels of each."""
         return len(self.textures) * self.layer_channels
@@ -104,10 +118,18 @@ class StoredAs:
 
     `size` (height, width) in texels, no larger than the material; None is the full size, (1, 1) means numbers in the
     manifest instead of a texture. `storage` is a key of STORAGES; None is the material's, or what the map's spec says.
+    `span` (low, high) are the values of black and white that integer codes reach to, at least: a height's, which no map
+    can have by itself.
     """
 
     size: tuple[int, int] | None = None
     storage: str | None = None
+    span: tuple[float, float] | None = None
+
+    def as_table(self) -> dict[str, object]:
+        """Return what a manifest holds."""
+        table: dict[str, object] = {"size": self.size, "storage": self.storage}
+        return table if self.span is None else {**table, "span": self.span}
 
     @property
     def numbers(self) -> bool:
@@ -126,6 +148,9 @@ def check_stored(where: str, stored: Mapping[str, StoredAs], specs: Iterable[Map
             raise RangeError(message(where, f"stored {name}", "be a StoredAs of a map that has textures", fact))
         if one.storage is not None:
             check_option(where, f"the storage of {name}", one.storage, STORAGES)
+        if one.span is not None and not (len(one.span) == 2 and -math.inf < one.span[0] < one.span[1] < math.inf):
+            requirement = "be two finite numbers, low and high"
+            raise RangeError(message(where, f"the span of {name}", requirement, f"it is {one.span}"))
         if one.size is None:
             continue
         if not spec.per_texel:
@@ -141,8 +166,8 @@ def check_stored(where: str, stored: Mapping[str, StoredAs], specs: Iterable[Map
 class Codes:
     """One texture as codes: `pixels` [H, W, C], and the `low` and `high` [C] values of its smallest and largest code.
 
-    Floating-point textures hold their values as they are; `low` and `high` are then empty. `transfer` is "linear" or
-    "srgb" (between low and high).
+    Floating-point textures hold their values as they are; `low` and `high` are then empty. `transfer` is "linear",
+    "srgb" (between low and high), or "hue": colours [H, W, 3] whose hues are the angles of a rotation.
     """
 
     pixels: np.ndarray
@@ -159,6 +184,7 @@ class StoredTexture(NamedTuple):
     name: str
     values: Tensor
     storage: str
+    span: tuple[float, float] | None = None
 
     @property
     def meaning(self) -> str:
@@ -180,7 +206,7 @@ class StoredTexture(NamedTuple):
 
         Raises RangeError when it cannot be stored so.
         """
-        return encode(self.spec, self.values, storage or self.storage)
+        return encode(self.spec, self.values, storage or self.storage, self.span)
 
 
 def check_map(where: str, spec: MapSpec, value: Tensor) -> None:
@@ -199,8 +225,8 @@ def check_map(where: str, spec: MapSpec, value: Tensor) -> None:
         raise RangeError(message(where, spec.name, requirement, fact, "Correct the map; it is never clipped."))
 
 
-def encode(spec: MapSpec, value: Tensor, storage: str) -> Codes:
-    """Return the codes of one texture [C, H, W] of map `spec`.
+def encode(spec: MapSpec, value: Tensor, storage: str, span: tuple[float, float] | None = None) -> Codes:
+    """Return the codes of one texture [C, H, W] of map `spec`; integer codes span at least `span`, if it is given.
 
     Raises RangeError outside the declared range, or beyond what a half can hold.
     """
@@ -220,8 +246,12 @@ def encode(spec: MapSpec, value: Tensor, storage: str) -> Codes:
             fact = f"its largest magnitude is {largest:.6g}, above {most:.6g}"
             raise RangeError(message("export", spec.name, f"fit {kind.dtype}", fact, step))
         return Codes(pixels.astype(kind.dtype))
-    low, high = _span(spec, planes)
-    transfer = "srgb" if spec.colour and kind.dtype == "uint8" and float(low.min()) >= 0 else "linear"
+    if kind.natural and spec.kind == "rotation":
+        codes = (hue_of(planes) * kind.levels).round()
+        return Codes(codes.permute(1, 2, 0).numpy().astype(kind.dtype), (0.0,) * 3, (1.0,) * 3, "hue")
+    low, high = _span(spec, planes, kind.natural, span)
+    coded = (kind.natural and spec.looks_coloured) or (spec.colour and kind.dtype == "uint8")
+    transfer = "srgb" if coded and float(low.min()) >= 0 else "linear"
     if transfer == "srgb":
         low, high = torch.zeros_like(low), high.amax().expand_as(high)
     width = torch.where(high > low, high - low, torch.ones_like(low))
@@ -237,12 +267,21 @@ def _per_channel(curve: Callable[[Tensor], Tensor], planes: Tensor) -> Tensor:
     return curve(planes.flatten()[None, None].expand(3, 1, -1))[0].reshape(planes.shape)
 
 
-def _span(spec: MapSpec, planes: Tensor) -> tuple[Tensor, Tensor]:
-    if spec.fixed_range and spec.low is not None and spec.high is not None:
-        low, high = torch.full((len(planes),), spec.low), torch.full((len(planes),), spec.high)
-        return low.double(), high.double()
+def _span(spec: MapSpec, planes: Tensor, natural: bool, stated: tuple[float, float] | None) -> tuple[Tensor, Tensor]:
+    """Return the values [C] of the smallest and the largest code."""
     # Floats of 32 bits, so that the manifest's decimal text brings back the same numbers.
-    return planes.amin(dim=(1, 2)).float().double(), planes.amax(dim=(1, 2)).float().double()
+    low, high = planes.amin(dim=(1, 2)).float().double(), planes.amax(dim=(1, 2)).float().double()
+    if stated is not None:
+        return low.clamp(max=stated[0]).float().double(), high.clamp(min=stated[1]).float().double()
+    if spec.low is not None and spec.high is not None and (spec.fixed_range or natural):
+        return torch.full_like(low, spec.low), torch.full_like(high, spec.high)
+    if natural and spec.low == 0:
+        return torch.zeros_like(low), high.amax().clamp(min=1).expand_as(high)
+    if natural and spec.low is None:  # grey is 0
+        most = torch.maximum(-low, high).amax()
+        most = torch.where(most > 0, most, 1.0).expand_as(high)
+        return -most, most
+    return low, high
 
 
 def decode(codes: Codes) -> Tensor:
@@ -251,6 +290,8 @@ def decode(codes: Codes) -> Tensor:
     if not codes.low:
         return torch.from_numpy(np.ascontiguousarray(pixels.transpose(2, 0, 1)).astype(np.float32))
     share = torch.from_numpy(pixels.transpose(2, 0, 1).astype(np.float64) / np.iinfo(pixels.dtype).max)
+    if codes.transfer == "hue":
+        return directions_of(share).float().contiguous()
     if codes.transfer == "srgb":
         share = _per_channel(colour.srgb_to_linear, share)
     low = torch.tensor(codes.low, dtype=torch.float64)[:, None, None]

@@ -19,7 +19,9 @@ from torchmat.report.pictures import write_pictures
 from torchmat.report.tables import to_json
 
 
-def write_fit(btf: Btf, result: FitResult, folder: str | Path, pictures: bool = True) -> Path:
+def write_fit(
+    btf: Btf, result: FitResult, folder: str | Path, pictures: bool = True, force: bool = False
+) -> Path:
     """Write the material of `result`, `report.json`, and unless told not to, `pictures/` and `report.html`.
 
     Of an automatic choice `decisions.txt` says what was tried and why it was kept or left.
@@ -45,12 +47,12 @@ def write_fit(btf: Btf, result: FitResult, folder: str | Path, pictures: bool = 
                 written.insert(0, decisions_picture(choice, building / "pictures" / "decisions.png"))
             (building / "report.html").write_text(fit_page(report, written), encoding="utf-8")
 
-    return save_material(result.material, folder, _provenance(result.report), companions)
+    return save_material(result.material, folder, _provenance(result.report), companions, force)
 
 
 def write_edited(
     material: Material, folder: str | Path, provenance: dict[str, Any], report: dict[str, Any] | None = None,
-    pictures: bool = True,
+    pictures: bool = True, force: bool = False,
 ) -> Path:
     """Write a material that was made of others: with `report.json` if there is a report, and pictures of its maps.
 
@@ -65,7 +67,7 @@ def write_edited(
             maps_picture(material, building / "pictures" / "maps.png")
             hemisphere_picture(material, building / "pictures" / "hemisphere.png")
 
-    return save_material(material, folder, provenance, companions)
+    return save_material(material, folder, provenance, companions, force)
 
 
 def _with_packing(btf: Btf, result: FitResult) -> dict[str, Any]:

@@ -170,6 +170,6 @@ def _stored_maps(material: Material) -> list[dict[str, Any]]:
     """Return how each texture of the material is stored."""
     rows = [
         {"map": spec.name, "texture": name, "size": list(value.shape[-2:]), "channels": len(value), "storage": storage}
-        for spec, name, value, storage in material.textures()
+        for spec, name, value, storage, _ in material.textures()
     ]
     return rows + [{"map": spec.name, "numbers": value.tolist()} for spec, value in material.numbers()]

@@ -121,7 +121,7 @@ class _Shrinking:
     def deep_steps(self, as_it_is: Cost | None) -> list[Step]:
         """Return the steps to 16 bits, if 8 lose anything worth speaking of."""
         textures = self.material.textures()
-        used = {spec.name: storage for spec, _, _, storage in textures if spec.per_texel and not spec.index}
+        used = {one.spec.name: one.storage for one in textures if one.spec.per_texel and not one.spec.index}
         coarse = [name for name, storage in used.items() if STORAGES[storage].levels == 255]
         deep = StoredAs(storage=_DEEP)
         if not coarse or (as_it_is is not None and self.cost - as_it_is(self.material) < _CLOSE * self.cost):
