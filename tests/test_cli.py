@@ -253,7 +253,7 @@ def test_create_makes_a_material_of_textures(tmp_path, capsys):
         write_image(folder / f"Stein_{name}.png", random.integers(0, 256, (8, 6, channels)).astype(np.uint8))
     assert run("create", folder, "--out", out, "--lobes", 2, "--height-scale", 0.02, "--occlusion") == 0
     said = capsys.readouterr().out
-    assert "ignored    Stein_Opacity.png" in said and str(out / "maps.png") in said
+    assert "opacity          Stein_Opacity.png" in said and str(out / "maps.png") in said
     material = load_material(out)
     assert material.options["lobes"] == 2 and material.tiles and material.has_relief
 
