@@ -66,7 +66,7 @@ def changed_files(record: Path, edits: bool = True) -> list[str] | None:
         table = json.loads(record.read_text(encoding="utf-8"))
         digests = {str(name): str(digest) for name, digest in table[DIGESTS].items()}
         edited = [str(name) for name in table.get(EDITED, ())] if edits else []
-    except (OSError, ValueError, LookupError, TypeError, AttributeError):
+    except (OSError, ValueError, LookupError, TypeError, AttributeError, RecursionError):
         return None
     found = set(edited)
     for name, digest in digests.items():

@@ -161,7 +161,7 @@ class Exporter:
 
     def check_folder(self, target: Path, what: str, force: bool = False) -> bool:
         """Raise DataError unless the folder `target` may be replaced: see `atomic.refuse_foreign`, which says of `what`."""
-        found = [changed_files(target / name) for name in {self.record, LOSS} if (target / name).is_file()]
+        found = [changed_files(target / name) for name in {self.record, LOSS} if os.path.isfile(target / name)]
         told = [names for names in found if names is not None]
         changed = sorted({name for names in told for name in names}) if told or not found else None
         return atomic.refuse_foreign(target, self.known(target), what, changed, force)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -41,7 +42,7 @@ def check_target(target: str | Path, force: bool = False) -> bool:
     With `force` an earlier relief may be replaced even so; True is returned when a backup must be kept.
     """
     record = Path(target) / _RECORD
-    changed = changed_files(record) if record.is_file() else []
+    changed = changed_files(record) if os.path.isfile(record) else []
     return atomic.refuse_foreign(Path(target), lambda name: name in _FILES, "an earlier relief", changed, force)
 
 
