@@ -17,7 +17,7 @@ from tests.reference.gradient import central
 from tests.support import TOLERANCE, assert_close
 
 from torchmat import load_material, save_material
-from torchmat.errors import DataError, RangeError, ShapeError
+from torchmat.errors import DataError, Notice, RangeError, ShapeError
 from torchmat.geometry import rays, soft_shadow, trace_view
 from torchmat.geometry.rays import texel_centres
 from torchmat.images import read_image, write_image
@@ -739,7 +739,10 @@ def test_a_painted_height_arrives(kind, tmp_path):
 def test_a_painted_height_that_cannot_be_read_names_the_file(tmp_path):
     folder = save_material(on_waves("texture", {}, dtype=torch.float32), tmp_path / "out")
     write_image(folder / "height.png", np.zeros((HEIGHT, WIDTH, 3), np.uint8))
-    with pytest.raises(DataError, match=r"height\.png: the texture must be 6 x 8 x 1; it is 6 x 8 with 3 channels"):
+    with pytest.warns(Notice, match=r"height\.png: its channels are equal, and one was taken"):
+        load_material(folder)
+    write_image(folder / "height.png", np.zeros((HEIGHT, WIDTH, 2), np.uint8))
+    with pytest.raises(DataError, match=r"height\.png: alpha must be opaque; 48 of 48 texels are not"):
         load_material(folder)
     (folder / "height.png").unlink()
     with pytest.raises(DataError, match=r"height\.png: the texture must exist"):
