@@ -174,7 +174,7 @@ def _agreeing_scale(where: str, rise: Tensor, slopes: Tensor) -> float:
 
 
 def _reflectance(colour: Tensor, metal: Tensor | None, given: Tensor | None) -> dict[str, Tensor]:
-    """Return r0 [1, H, W], and of what is coloured a mask of three channels: r0 is the largest channel, the mask the ratio."""
+    """Return r0 [1, H, W], the largest channel, and of what is coloured a mask of three channels: the ratio to it."""
     if metal is None and given is None:
         return {"fresnel": torch.full_like(colour[:1], DIELECTRIC)}
     at_normal = given
