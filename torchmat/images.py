@@ -110,7 +110,7 @@ def read_picture(path: str | Path, by_profile: bool = False) -> tuple[np.ndarray
 
 
 def _read(path: str | Path) -> tuple[np.ndarray, ImageSpec | None, bytes]:
-    """Return the pixels of a file, of an EXR, whose channels have names of their own, what its head says, and its profile."""
+    """Return the pixels of a file, the head of an EXR, whose channels have names of their own, and the ICC profile."""
     import OpenImageIO as oiio
 
     source = oiio.ImageInput.open(_file_name(path), _as_stored())

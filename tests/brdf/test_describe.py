@@ -56,4 +56,4 @@ def test_a_damaged_file_is_reported_as_what_its_name_says(tmp_path):
     (tmp_path / "table.dat").write_bytes(merl_bytes(np.ones((3, 2, 2, 2))))
     assert is_brdf_file(tmp_path / "table.dat")
     (tmp_path / "lights.lp").write_text("3\n")
-    assert not is_brdf_file(tmp_path / "lights.lp") and not is_brdf_file(tmp_path) and not is_brdf_file(tmp_path / "absent.bsdf")
+    assert not any(is_brdf_file(path) for path in (tmp_path / "lights.lp", tmp_path, tmp_path / "absent.bsdf"))

@@ -24,7 +24,8 @@ NAMED = {
              "lava-rock-albedo vbogdbl_2K_Albedo Default_Base_Color D_AlbedoTransparency B_COL_2K_METALNESS B_COL_VAR1_4K "
              "Tree_ALPHAMASKED_2K TexturesCom_Brick_2K_albedo Bark02_MR_2K_Base_Color Wall_012_basecolor T_Rock_2K_B "
              "X_BaseColor.1001 metal_0077_color_2k color",
-    "normalgl": "Leather025_1K_NormalGL rock_wall_15_nor_gl_2k lava-rock_normal-ogl Default_Normal_OpenGL m_normal_opengl_2k",
+    "normalgl": "Leather025_1K_NormalGL rock_wall_15_nor_gl_2k lava-rock_normal-ogl Default_Normal_OpenGL "
+                "m_normal_opengl_2k",
     "normaldx": "Leather025_1K-PNG_NormalDX rock_wall_15_nor_dx_4k-PNG Default_Normal_DirectX",
     "normal": "Bricks_2K_Normal bricks_nrm B_NRM_2K B_NRM16_2K_METALNESS vb_2K_Normal_LOD0 Wall_NORM T_Rock_2K_N",
     "roughness": "x_Roughness bricks_rgh wall_rough_2k Wall_ROUGH", "gloss": "B_GLOSS_4K vb_2K_Gloss Leaf_SG_Glossiness",
@@ -162,7 +163,8 @@ def test_a_flat_bare_normal_is_a_guess_that_is_said(tmp_path):
 def test_old_sets_have_the_height_that_their_normals_say(tmp_path):
     planes = textures(0.015)
     folder = put(tmp_path / "s", {
-        "Old_Color.png": planes["Color"], "Old_Normal.png": planes["NormalGL"], "Old_Displacement.png": planes["Displacement"],
+        "Old_Color.png": planes["Color"], "Old_Normal.png": planes["NormalGL"],
+        "Old_Displacement.png": planes["Displacement"],
     })
     said: list[str] = []
     height = maps(material_from_textures(folder, say=said.append))["height"]
@@ -231,7 +233,8 @@ def test_info_and_create_say_what_is_read_from_what(tmp_path, capsys, monkeypatc
     monkeypatch.chdir(tmp_path)
     planes = textures(0.03)
     folder = put(tmp_path / "wall", {
-        "wall_diff_2k.png": planes["Color"], "wall_disp_2k.png": planes["Displacement"], "wall_nor_2k.png": planes["NormalGL"],
+        "wall_diff_2k.png": planes["Color"], "wall_disp_2k.png": planes["Displacement"],
+        "wall_nor_2k.png": planes["NormalGL"],
         "wall_arm_2k.png": torch.rand(3, 16, 24), "wall_emission_2k.png": planes["Color"], "wall.png": planes["Color"],
     })
     assert main(["info", str(folder)]) == 0
@@ -241,7 +244,8 @@ def test_info_and_create_say_what_is_read_from_what(tmp_path, capsys, monkeypatc
     assert rows["displacement"][:3] == ["wall_disp_2k.png", "16 x 24", "1 x uint16"]
     assert [float(end) for end in rows["displacement"][3:]] == pytest.approx([0, 1], abs=0.02)
     assert rows["metalness"][0] == "wall_arm_2k.png, blue"
-    assert "left out   wall_emission_2k.png (emission: torchmat has no place for it)" in told and "ignored    wall.png" in told
+    assert "left out   wall_emission_2k.png (emission: torchmat has no place for it)" in told
+    assert "ignored    wall.png" in told
     assert main(["create", str(folder), "--out", "made", "--no-pictures"]) == 0
     told = capsys.readouterr().out
     assert "normal: read as OpenGL's" in told and "height: white lies 0.03 texture widths over black" in told

@@ -15,7 +15,7 @@ from torchmat.brdf.tensor_file import MAGIC, TensorFile
 from torchmat.errors import DataError, message
 
 def brdf_kind(path: str | Path) -> str | None:
-    """Return "merl" or "rgl" for a file that begins like one, or an archive that holds one; None for any other or for none."""
+    """Return "merl" or "rgl" for a file that begins like one, or an archive of one; None for any other or for none."""
     path = Path(path)
     try:
         if not path.is_file():

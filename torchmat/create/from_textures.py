@@ -178,7 +178,7 @@ def _agreeing_scale(where: str, rise: Tensor, slopes: Tensor) -> float:
 
 
 def _reflectance(colour: Tensor, metal: Tensor | None, given: Tensor | None) -> dict[str, Tensor]:
-    """Return r0 [1, H, W], and of what is coloured a mask of three channels: r0 is the largest channel, the mask the ratio."""
+    """Return r0 [1, H, W], the largest channel, and of what is coloured a mask of three channels: the ratio to it."""
     if metal is not None:
         at_normal = torch.lerp(torch.full_like(colour, DIELECTRIC), colour.clamp(max=1), metal)
     elif given is not None:

@@ -20,7 +20,9 @@ from torchmat.images import IMAGE_SUFFIXES
 _UNREAD = frozenset({".webp", ".psd", ".dds", ".ktx", ".ktx2", ".jxl", ".avif", ".tx", ".heic", ".gif", ".jp2"})
 _COLOURED = 0.02  # of a code: a grey file saved as JPEG stays below it
 _LEVEL = 0.08  # reflectance at normal incidence of a specular level of 1 (Burley 2012)
-_NAMES = "_Color, _Opacity, _Displacement, _NormalGL, _NormalDX, _Roughness, _Gloss, _Metalness, _Specular or _AmbientOcclusion"
+_NAMES = (
+    "_Color, _Opacity, _Displacement, _NormalGL, _NormalDX, _Roughness, _Gloss, _Metalness, _Specular or _AmbientOcclusion"
+)
 
 
 class Texture(NamedTuple):
