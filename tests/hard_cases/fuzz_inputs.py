@@ -20,7 +20,7 @@ from tests.brdf.files import merl_bytes, rgl_fields, tensor_bytes
 from tests.btf.files import ANGLES, put_btf, put_image, random_codes, zipped
 from tests.models.distributions import ALL_PARTS, distribution
 from tests.models.examples import make
-from tests.rendering.mesh_files import SQUARE, SQUARE_UV, TWO, glb_of, put_obj, put_ply, put_stl
+from tests.rendering.mesh_files import SQUARE, SQUARE_UV, TWO, Gltf, glb_of, put_obj, put_ply, put_stl
 
 import torchmat as tm
 from torchmat.geometry import Relief
@@ -183,6 +183,29 @@ def put_gltf(folder: Path) -> Path:
     (folder / "a.gltf").write_text(json.dumps(tree))
     (folder / "a.bin").write_bytes(data[28 + length :])
     return folder / "a.gltf"
+
+
+def put_quantised(folder: Path) -> Path:
+    """Write a glTF with normalised integers, a sparse accessor and a strip, its numbers in the text."""
+    gltf = Gltf(extensionsRequired=["KHR_mesh_quantization"])
+    sparse = {
+        "count": 1, "indices": {"bufferView": gltf.view(np.array([2], "<u2")), "componentType": 5123},
+        "values": {"bufferView": gltf.view(np.array([[99, 88, 77]], "<i2"))},
+    }
+    attributes = {
+        "POSITION": gltf.accessor(SQUARE * 100, "i2", stride=8, normalized=True, sparse=sparse),
+        "NORMAL": gltf.accessor(np.tile([-90, 0, 90], (4, 1)), "i1", stride=4, normalized=True),
+        "TEXCOORD_0": gltf.accessor(SQUARE_UV * 65535, "u2", normalized=True),
+    }
+    return gltf.put(folder, attributes, gltf.accessor([1, 2, 0, 3], "u1"), mode=5)
+
+
+def put_polygons(folder: Path) -> Path:
+    """Write an OBJ of polygons that are not convex, told by relative numbers, with blanks and line ends of all kinds."""
+    text = "v 0 0 0 0.5 0.5 0.5\nv 2 0 0\nv 2\t1 0\nv 1 1 0\nv 1 2 0\nv 0 2 0\nvt 0 0\nvt 1 0\nvn 0 0 1\n"
+    text += "usemtl a\ng b\nf -4/1/1 -3/2/1 -2/1/1 -1/2/1 \\\n-6/1/1 -5/-1/-1\nf 1//1 2//1 3//1 4//1\nf 1 2 3 # end\nl 1 2\n"
+    (folder / "a.obj").write_text(text)
+    return folder / "a.obj"
 
 
 def relief_putter(depth: str) -> Put:

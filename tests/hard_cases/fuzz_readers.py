@@ -12,8 +12,9 @@ import torch
 from tests.btf.files import directions_of
 from tests.hard_cases.fuzz_inputs import (
     Put, image_putter, material_putter, mesh_putter, named_putter, put_cached, put_config, put_distribution,
-    put_gltf, put_lights, put_manifest, put_merl, put_merl_gz, put_merl_zip, put_named_lights, put_packed, put_rti, put_small,
-    put_stereo, put_textures, put_vendors_textures, put_volume, put_xyz, put_zip, relief_putter, rgl_putter,
+    put_gltf, put_lights, put_manifest, put_merl, put_merl_gz, put_merl_zip, put_named_lights, put_packed, put_polygons,
+    put_quantised, put_rti, put_small, put_stereo, put_textures, put_vendors_textures, put_volume, put_xyz, put_zip,
+    relief_putter, rgl_putter,
 )
 from tests.rendering.mesh_files import assert_frames_hold
 
@@ -235,6 +236,8 @@ READERS = [
     *[Reader(f"mesh, {kind}", mesh_putter(kind), _read_mesh, exact=("cut",) if kind in ("ply", "stl", "glb") else ())
       for kind in ("obj", "ply", "ply_ascii", "stl", "stl_ascii", "glb", "off")],
     Reader("mesh, gltf", put_gltf, _read_mesh),
+    Reader("mesh, quantised gltf", put_quantised, _read_mesh),
+    Reader("mesh, polygons of an obj", put_polygons, _read_mesh),
     Reader("height, folder", relief_putter("16"), _read_height, ("relief.json", "height.png"), ("cut",)),
     Reader("height, float", image_putter("exr", "float32", 1), _read_height, exact=("cut",)),
     Reader("light directions", put_lights, _read_lights),

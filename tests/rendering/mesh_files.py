@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import json
 import struct
 from pathlib import Path
@@ -119,6 +120,43 @@ def glb_of(parts: list[dict], nodes: list[dict], **more) -> bytes:
     body += b"\0" * (-len(body) % 4)
     chunks = struct.pack("<II", len(text), 0x4E4F534A) + text + struct.pack("<II", len(body), 0x004E4942) + body
     return struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks
+
+
+_COMPONENTS = {"i1": 5120, "u1": 5121, "i2": 5122, "u2": 5123, "u4": 5125, "f4": 5126}
+_KINDS = {1: "SCALAR", 2: "VEC2", 3: "VEC3"}
+
+
+class Gltf:
+    """A glTF put together by hand, its numbers in the text."""
+
+    def __init__(self, **tree) -> None:
+        self.body, self.tree = b"", {"asset": {"version": "2.0"}, "accessors": [], "bufferViews": [], **tree}
+
+    def view(self, values, stride: int = 0, before: int = 0) -> int:
+        rows = [np.asarray(row).tobytes() for row in values]
+        size = len(rows[0])
+        raw = b"\7" * before + b"".join(row.ljust(max(stride, size), b"\7") for row in rows)
+        self.tree["bufferViews"].append({"buffer": 0, "byteOffset": len(self.body), "byteLength": len(raw)})
+        self.tree["bufferViews"][-1] |= {"byteStride": stride} if stride else {}
+        self.body += raw + b"\0" * (-len(raw) % 4)
+        return len(self.tree["bufferViews"]) - 1
+
+    def accessor(self, values, code: str, stride: int = 0, before: int = 0, **more) -> int:
+        values = np.asarray(values).astype(f"<{code}")
+        values = values[:, None] if values.ndim == 1 else values
+        item = {"componentType": _COMPONENTS[code], "count": len(values), "type": _KINDS[values.shape[1]]}
+        item |= {"bufferView": self.view(values, stride, before)} | ({"byteOffset": before} if before else {}) | more
+        self.tree["accessors"].append(item)
+        return len(self.tree["accessors"]) - 1
+
+    def put(self, folder, attributes: dict, indices: int | None = None, **primitive):
+        primitive = {"attributes": attributes} | ({} if indices is None else {"indices": indices}) | primitive
+        tree = {"meshes": [{"primitives": [primitive]}], "nodes": [{"mesh": 0}], "scenes": [{"nodes": [0]}], **self.tree}
+        uri = "data:application/octet-stream;base64," + base64.b64encode(self.body).decode()
+        tree["buffers"] = [{"byteLength": len(self.body), "uri": uri}]
+        path = folder / "a.gltf"
+        path.write_text(json.dumps(tree))
+        return path
 
 
 def corners(mesh: Mesh, values: str) -> np.ndarray:

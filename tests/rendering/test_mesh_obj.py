@@ -128,3 +128,11 @@ def test_lines_that_cannot_be_read_are_named(line, words, block, tmp_path, monke
 def test_names_of_materials_are_kept_once(tmp_path):
     text = "v 0 0 0\nv 1 0 0\nv 0 1 0\nusemtl old leather\nf 1 2 3\nusemtl wool\nf 3 2 1\nusemtl old leather\r\nf 1 2 3\n"
     assert read_triangles(put(tmp_path, text)).materials == ("old leather", "wool")
+
+
+@pytest.mark.parametrize("line", ["x", "usemtl{} ", " ", "\\", "a ", "#"], ids=repr)
+def test_a_line_of_millions_of_letters_is_passed_over(line, tmp_path):
+    head, _, letters = line.rpartition("{}")
+    line = head + letters * 2_000_000
+    text = f"v 0 0 0\nv 1 0 0\nv 0 1 \\\n0\n{line}\n\nf 1 2 3\n"
+    assert len(load_mesh(put(tmp_path, text)).faces) == 1

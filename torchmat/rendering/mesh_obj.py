@@ -18,8 +18,7 @@ from torchmat.rendering.triangles import NONE, Triangles
 
 _BLOCK = 1 << 23  # bytes whose lines are read at once
 _BLANKS = bytes.maketrans(b"\t\v\f\0", b"    ")
-_CONTINUED = re.compile(rb"\\[ \t]*\n")
-_MATERIAL = re.compile(rb"^[ \t]*usemtl[ \t]+([^\n]*?)[ \t]*$", re.MULTILINE)
+_MATERIAL = re.compile(rb"^[ \t]*usemtl[ \t]([^\n]*)", re.MULTILINE)
 _TABLES = {b"v": ("vertex", 3), b"vt": ("texture coordinate", 2), b"vn": ("normal", 3)}
 _EXPORT = "Export the mesh again."
 
@@ -50,7 +49,7 @@ def read_obj(data: bytes, where: str) -> Triangles | None:
     if b"\r" in data:
         data = data.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
     named = _MATERIAL.findall(data) if b"usemtl" in data else []
-    materials = tuple(dict.fromkeys(name.decode("utf-8", "replace") for name in named))
+    materials = tuple(dict.fromkeys(name.strip().decode("utf-8", "replace") for name in named))
     read = _Read(where)
     start = 0
     while start < len(data):
@@ -118,12 +117,16 @@ def _read_block(block: bytes, read: _Read) -> None:
 
 def _joined(block: bytes) -> bytes:
     """Return a block in which lines that end in a backslash go on, with the line ends they lose behind them."""
-    pieces, start = [], 0
-    for found in re.finditer(rb"(?:[^\n]*\\[ ]*\n)+[^\n]*", block):
-        lost = found.group().count(b"\n")
-        pieces += [block[start:found.start()], _CONTINUED.sub(b" ", found.group()), b"\n" * lost]
-        start = found.end()
-    return b"".join((*pieces, block[start:]))
+    pieces, lost = [], 0
+    for line in block.split(b"\n"):
+        content = line.rstrip(b" ")
+        if content.endswith(b"\\"):
+            pieces.append(content[:-1] + b" ")
+            lost += 1
+            continue
+        pieces.append(line + b"\n" * (lost + 1))
+        lost = 0
+    return b"".join((*pieces, b"\n" * lost))[:-1]
 
 
 def _content(text: np.ndarray, begin: np.ndarray, end: np.ndarray) -> np.ndarray:
