@@ -27,7 +27,7 @@ from torchmat import colour
 _MU = 5000.0
 _CAP_DB = 200.0
 _SSIM_WINDOW = 11
-_BAND_VALUES = 4_000_000  # of a picture are worked on at a time: a photograph's would take gigabytes in one
+BAND_VALUES = 4_000_000  # of a picture are worked on at a time: a photograph's would take gigabytes in one
 
 
 def psnr(mean_squared_error: float) -> float:
@@ -90,7 +90,7 @@ class SampleErrors:
         Those two are measured in a `window` of rows and columns. What is worked on at a time is bounded, whatever the size.
         """
         planes = (prediction, target, valid.expand_as(target), clipped.expand_as(target))
-        rows = max(1, _BAND_VALUES // (target.shape[0] * 3 * target.shape[3]))
+        rows = max(1, BAND_VALUES // (target.shape[0] * 3 * target.shape[3]))
         bands = [[part[..., top : top + rows, :] for part in planes] for top in range(0, target.shape[2], rows)]
         sums = torch.stack([_sums(*band) for band in bands]).sum(dim=0) if len(bands) > 1 else _sums(*planes)
         for found, part in zip((self.squared, self.energy, self.display, self.log, self.count), sums, strict=True):

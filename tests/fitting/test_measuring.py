@@ -63,7 +63,7 @@ def test_bands_of_rows_change_no_figure(monkeypatch):
     seen = []
     sums = metrics._sums
     monkeypatch.setattr(metrics, "_sums", lambda *band: seen.append(band[0].shape[-2]) or sums(*band))
-    monkeypatch.setattr(metrics, "_BAND_VALUES", 5 * 2 * 3 * 17)
+    monkeypatch.setattr(metrics, "BAND_VALUES", 5 * 2 * 3 * 17)
     banded = figures()
     assert seen == [5, 5, 5, 5, 1]
     for name, value in whole.items():
@@ -92,7 +92,7 @@ def test_how_much_is_measured_is_asked_for_and_said(module, monkeypatch, btf):
     full = tm.fit(btf, "ptm", holdout=0.4)
     assert full.report["held_out"]["samples"] == len(full.split.held_out) == len(full.held_out_errors)
     assert tm.fit(btf, "ptm", holdout=0.4, measure=True).report["held_out"] == full.report["held_out"]
-    monkeypatch.setattr(module, "_QUICK_TEXELS", 10 * 12 * 16)
+    monkeypatch.setattr(module, "QUICK_TEXELS", 10 * 12 * 16)
     monkeypatch.setattr(module, "PERCEPTUAL_TEXELS", 8 * 6 * 8)
     quick = tm.fit(btf, "ptm", holdout=0.4, measure="quick")
     assert [quick.report[part]["samples"] for part in ("train", "held_out", "held_out_after_export")] == [10, 10, 10]
@@ -104,13 +104,13 @@ def test_how_much_is_measured_is_asked_for_and_said(module, monkeypatch, btf):
 
 
 def test_of_large_images_few_are_measured_again(module, monkeypatch, btf):
-    monkeypatch.setattr(module, "_TRAIN_TEXELS", 9 * 12 * 16)
+    monkeypatch.setattr(module, "TRAIN_TEXELS", 9 * 12 * 16)
     report = tm.fit(btf, "ptm").report
     assert report["train"]["samples"] == 9
 
 
 def test_rows_of_a_comparison_may_be_quick(module, monkeypatch, btf):
-    monkeypatch.setattr(module, "_QUICK_TEXELS", 10 * 12 * 16)
+    monkeypatch.setattr(module, "QUICK_TEXELS", 10 * 12 * 16)
     row = tm.compare(btf, ["texture"], holdout=0.4, measure="quick")[0]
     assert row["report"]["held_out"]["samples"] == 10 and row["relative_error"] > 0
     with pytest.raises(RangeError, match="compare: measure must be one of 'quick', 'full'"):

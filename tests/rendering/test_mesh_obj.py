@@ -31,7 +31,7 @@ def area(mesh) -> float:
 
 @pytest.mark.parametrize("block", [64, 1 << 23])
 def test_negative_indices_count_from_the_line_that_they_stand_in(block, tmp_path, monkeypatch):
-    monkeypatch.setattr(mesh_obj, "_BLOCK", block)
+    monkeypatch.setattr(mesh_obj, "BLOCK", block)
     mesh = load_mesh(put(tmp_path, STRIP))
     assert len(mesh.faces) == 10 and area(mesh) == pytest.approx(5)
     assert mesh.bounds.tolist() == [[0, 0, 0], [5, 1, 0]]
@@ -79,7 +79,7 @@ BLANKS = {
 @pytest.mark.parametrize("block", [40, 1 << 23])
 @pytest.mark.parametrize("how", BLANKS)
 def test_blanks_line_ends_and_what_is_passed_over(how, block, tmp_path, monkeypatch):
-    monkeypatch.setattr(mesh_obj, "_BLOCK", block)
+    monkeypatch.setattr(mesh_obj, "BLOCK", block)
     text = put_obj(tmp_path / "plain.obj", SQUARE, TWO, SQUARE_UV, SQUARE + 1).read_text()
     changed = BLANKS[how](text)
     assert changed != text
@@ -120,7 +120,7 @@ def test_a_texture_of_one_number(tmp_path):
 ])
 @pytest.mark.parametrize("block", [20, 1 << 23])
 def test_lines_that_cannot_be_read_are_named(line, words, block, tmp_path, monkeypatch):
-    monkeypatch.setattr(mesh_obj, "_BLOCK", block)
+    monkeypatch.setattr(mesh_obj, "BLOCK", block)
     text = f"v 0 0 0\nv 1 0 \\\n0\nv 0 1 0\n{line}\nvt 0 0\nvt 0 0\nvt 0 0\nf 1 2 3\n"
     assert_refused(put(tmp_path, text), words)
 

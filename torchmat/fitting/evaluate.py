@@ -23,8 +23,8 @@ PERCEPTUAL_SAMPLES, PERCEPTUAL_TEXELS = 256, 2_000_000
 _FEWEST = 8  # samples that are looked at, however large they are
 MEASURES = ("none", "quick", "full")
 SPLITS = ("train", "held_out", "held_out_after_export")
-_TRAIN_SAMPLES, _TRAIN_TEXELS = 512, 100_000_000  # the training error is measured on at most so much, evenly chosen
-_QUICK_TEXELS = 2_000_000  # of each part, where quick figures are asked for
+_TRAIN_SAMPLES, TRAIN_TEXELS = 512, 100_000_000  # the training error is measured on at most so much, evenly chosen
+QUICK_TEXELS = 2_000_000  # of each part, where quick figures are asked for
 _VALUES = 1_000_000  # values of one batch: larger ones leave the processor's cache and take three times as long
 
 
@@ -146,8 +146,8 @@ def evaluate_parts(
     On all held-out samples and some that the fit saw, or of both on few, `quick`.
     """
     texels = btf.height * btf.width
-    few = max(_FEWEST, _QUICK_TEXELS // texels) if quick else None
-    some = min(few or _TRAIN_SAMPLES, _TRAIN_SAMPLES, max(_FEWEST, _TRAIN_TEXELS // texels))
+    few = max(_FEWEST, QUICK_TEXELS // texels) if quick else None
+    some = min(few or _TRAIN_SAMPLES, _TRAIN_SAMPLES, max(_FEWEST, TRAIN_TEXELS // texels))
     report: dict[str, Any] = {"train": evaluate(material, btf, split.train, some, progress).report}
     held_out = evaluate(material, btf, split.held_out, few, progress) if len(split.held_out) else None
     if held_out is None:

@@ -16,7 +16,7 @@ from torchmat.errors import DataError, message
 from torchmat.rendering.polygons import triangulate
 from torchmat.rendering.triangles import NONE, Triangles
 
-_BLOCK = 1 << 23  # bytes whose lines are read at once
+BLOCK = 1 << 23  # bytes whose lines are read at once
 _BLANKS = bytes.maketrans(b"\t\v\f\0", b"    ")
 _MATERIAL = re.compile(rb"^[ \t]*usemtl[ \t]([^\n]*)", re.MULTILINE)
 _TABLES = {b"v": ("vertex", 3), b"vt": ("texture coordinate", 2), b"vn": ("normal", 3)}
@@ -63,7 +63,7 @@ def read_obj(data: bytes, where: str) -> Triangles | None:
 
 def _block_end(data: bytes, start: int) -> int:
     """Return where the line ends in which a block is full; a line that is continued is not at its end."""
-    end = start + _BLOCK
+    end = start + BLOCK
     while end < len(data):
         end = data.find(b"\n", end)
         if end < 0:
