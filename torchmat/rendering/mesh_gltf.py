@@ -2,35 +2,25 @@
 
 trimesh takes normalised integers raw, passes over sparse accessors, texture coordinates without a material and
 extensions that a file requires, and pygltflib returns the tree without its numbers. What a mesh needs of the
-specification fits into this module and `mesh_accessors`, which know what they do not know and refuse it by name.
+specification fits into this module, `mesh_gltf_tree` and `mesh_accessors`, which refuse by name what they do not know.
 Skins and morphs stay at rest.
 """
 
 from __future__ import annotations
 
-import json
 import math
-import struct
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from torchmat.errors import DataError, message
-from torchmat.rendering.mesh_accessors import DRACO, MESHOPT, Accessors, packed_error
-from torchmat.rendering.triangles import CHECK_FILE, Triangles, check_corners, moved, of_vertices, short_file, together
+from torchmat.rendering.mesh_accessors import DRACO, Accessors, packed_error
+from torchmat.rendering.mesh_gltf_tree import TRANSFORM, tree_of
+from torchmat.rendering.triangles import Triangles, check_corners, moved, of_vertices, together
 
-_JSON_CHUNK, _BINARY_CHUNK = 0x4E4F534A, 0x004E4942
-_MOST_TRIANGLES = 200_000_000  # a few bytes can ask for more: nodes that all show the same
+_MOST_TRIANGLES = 50_000_000  # a few bytes can ask for more: nodes that all show the same
 _TEXTURES = ("baseColorTexture", "normalTexture", "metallicRoughnessTexture", "occlusionTexture", "emissiveTexture")
-_TRANSFORM = "KHR_texture_transform"
 _INSTANCES = "EXT_mesh_gpu_instancing"
-# Extensions that leave triangles as they are, beside those of materials (KHR_materials_...).
-_HARMLESS = frozenset({
-    "KHR_mesh_quantization", _TRANSFORM, "KHR_lights_punctual", "KHR_texture_basisu", "EXT_texture_webp",
-    "EXT_texture_avif", "MSFT_texture_dds", "KHR_xmp_json_ld", "KHR_xmp", "EXT_lights_image_based", "EXT_lights_ies",
-    "KHR_animation_pointer",
-})
 
 
 def read_gltf(data: bytes, path: Path, binary: bool) -> tuple[Triangles | None, set[str]]:
@@ -40,10 +30,7 @@ def read_gltf(data: bytes, path: Path, binary: bool) -> tuple[Triangles | None, 
     has no parent. Texture coordinates are those of the base colour's texture, moved as KHR_texture_transform says.
     Raises DataError for what is cut short, broken, compressed, or needs an extension that is not known here.
     """
-    where = str(path)
-    tree, chunk = _of_glb(data, where) if binary else (_tree(data, where), None)
-    _check_version(tree, where)
-    _check_required(tree, where)
+    tree, chunk = tree_of(data, str(path), binary)
     accessors = Accessors(tree, chunk, path)
     scene = _Scene(accessors, tree)
     parts, total = [], 0
@@ -55,65 +42,6 @@ def read_gltf(data: bytes, path: Path, binary: bool) -> tuple[Triangles | None, 
             with np.errstate(invalid="ignore", over="ignore"):  # of NaN and Inf, which are looked for afterwards
                 parts.append(moved(part, transform))
     return together(parts) if parts else None, scene.others
-
-
-def _tree(text: bytes, where: str) -> dict[str, Any]:
-    try:
-        tree = json.loads(text)
-    except (ValueError, RecursionError) as error:
-        fact = f"{type(error).__name__}: {error}"
-        raise DataError(message(where, "the mesh file", "hold glTF's JSON", fact, CHECK_FILE)) from error
-    if not isinstance(tree, dict):
-        raise DataError(message(where, "the mesh file", "hold glTF's JSON", f"it holds a {type(tree).__name__}", CHECK_FILE))
-    return tree
-
-
-def _of_glb(data: bytes, where: str) -> tuple[dict[str, Any], bytes | None]:
-    """Return a GLB's tree and its buffer."""
-    if data[:4] != b"glTF" or len(data) < 20:
-        raise DataError(message(where, "the mesh file", "start as a GLB does", "it does not", CHECK_FILE))
-    version, length = struct.unpack_from("<II", data, 4)
-    if len(data) < length:
-        raise short_file(where, f"{len(data)} of the {length} bytes")
-    if version != 2:
-        fact = f"it is of version {version}"
-        raise DataError(message(where, "the mesh file", "be glTF 2.0", fact, "Export it as glTF 2.0."))
-    chunks: list[tuple[int, int, int]] = []
-    place = 12
-    while place + 8 <= length and len(chunks) < 2:
-        size, kind = struct.unpack_from("<II", data, place)
-        if place + 8 + size > length:
-            fact = f"the one at byte {place} is longer"
-            raise DataError(message(where, "chunks of a GLB", "lie inside of it", fact, CHECK_FILE))
-        chunks.append((kind, place + 8, size))
-        place += 8 + size
-    if not chunks or chunks[0][0] != _JSON_CHUNK:
-        raise DataError(message(where, "the first chunk of a GLB", "be JSON", "it is not", CHECK_FILE))
-    tree = _tree(data[chunks[0][1]:chunks[0][1] + chunks[0][2]], where)
-    if len(chunks) < 2 or chunks[1][0] != _BINARY_CHUNK:
-        return tree, None
-    return tree, data[chunks[1][1]:chunks[1][1] + chunks[1][2]]
-
-
-def _check_version(tree: dict[str, Any], where: str) -> None:
-    asset = tree.get("asset")
-    version = asset.get("version") if isinstance(asset, dict) else None
-    if not isinstance(version, str) or version.split(".")[0] != "2":
-        fact = f"its asset's version is {version!r:.60}"
-        raise DataError(message(where, "the mesh file", "be glTF 2.0", fact, "Export it as glTF 2.0."))
-
-
-def _check_required(tree: dict[str, Any], where: str) -> None:
-    required = tree.get("extensionsRequired", [])
-    names = [str(name) for name in required] if isinstance(required, list) else [str(required)]
-    for name in names:
-        if name in (DRACO, *MESHOPT):
-            raise packed_error(where, name, "it needs that to be read")
-    unknown = sorted({name for name in names if name not in _HARMLESS and not name.startswith("KHR_materials_")})
-    if unknown:
-        step = "Export it without, or remove the extension with gltf-transform."
-        fact = f"it requires {', '.join(unknown)}"
-        raise DataError(message(where, "the mesh file", "need no unknown extension", fact, step))
 
 
 class _Scene:
@@ -282,7 +210,7 @@ class _Scene:
         textures = {**(layers if isinstance(layers, dict) else {}), **material}
         texture: dict[str, Any] = next((textures[key] for key in _TEXTURES if isinstance(textures.get(key), dict)), {})
         extensions = texture.get("extensions")
-        change = extensions.get(_TRANSFORM) if isinstance(extensions, dict) else None
+        change = extensions.get(TRANSFORM) if isinstance(extensions, dict) else None
         where = f"the texture of material {number}"
         if not isinstance(change, dict):
             return f"TEXCOORD_{self._accessors.whole(texture, 'texCoord', 0, where)}", np.eye(3), names

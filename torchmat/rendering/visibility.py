@@ -102,10 +102,7 @@ def _dot(one: Tensor, other: Tensor) -> Tensor:
 
 
 def first_hits(mesh: Mesh, origin: Tensor, direction: Tensor) -> Hits:
-    """Return what rays from `origin` along `direction` [P, 3], unit, float64, meet first (Embree, through trimesh).
-
-    `origin` counts from the mesh's.
-    """
+    """Return what rays from `origin`, from the mesh's, along `direction` [P, 3], unit, float64, meet first (Embree)."""
     if not len(origin):
         empty = origin.new_zeros(0)
         return Hits(empty.long(), empty.long(), empty, origin)
