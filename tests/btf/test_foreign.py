@@ -12,7 +12,7 @@ from torchmat import DataError, load_btf
     "name, what, step",
     [
         ("coin.ptm", r"a fitted Polynomial Texture Map \(PTM\), not the photographs", "Give the photographs that it was made of, with their .lp"),
-        ("coin.rti", "a fitted RTI file", "torchmat fit PHOTOGRAPHS ptm"),
+        ("coin.rti", "a fitted RTI file", "torchmat fit ptm --data PHOTOGRAPHS"),
         ("coin.relight", "a project of RelightLab", "Export the light positions from it as an .lp file"),
         ("our.dome", "a dome description of RelightLab", "as an .lp file"),
         ("IMG_0001.CR2", "a raw camera file", "Develop it, linearly if you can, into a 16-bit TIFF or EXR"),

@@ -7,8 +7,14 @@ from pathlib import PurePosixPath
 
 from torchmat.btf.listing import is_image
 
-_RAW = "Develop it, linearly if you can, into a 16-bit TIFF or EXR (RawTherapee, darktable, dcraw -4 -T) and give that; say --encoding linear."
-_FITTED = "Give the photographs that it was made of, with their .lp file; torchmat fit PHOTOGRAPHS ptm (or hsh) then makes maps of its own."
+_RAW = (
+    "Develop it, linearly if you can, into a 16-bit TIFF or EXR (RawTherapee, darktable, dcraw -4 -T) and give that; "
+    "say --encoding linear."
+)
+_FITTED = (
+    "Give the photographs that it was made of, with their .lp file; torchmat fit ptm --data PHOTOGRAPHS (or hsh) then makes "
+    "maps of its own."
+)
 _LIGHTS = "Export the light positions from it as an .lp file, and give that or the photographs' folder."
 _ELSEWHERE = "Export its images, and write a manifest.csv with a line for each, or register a reader (tm.register_reader)."
 
@@ -24,7 +30,10 @@ FORMATS: dict[str, tuple[str, str]] = {
     ".hdf5": ("an HDF5 container, which no reader here takes", _ELSEWHERE),
     ".mat": ("a MATLAB file", "Save its lights as text, x y z a line, and its images as PNG or EXR."),
     **dict.fromkeys(
-        (".cr2", ".cr3", ".crw", ".nef", ".nrw", ".arw", ".srf", ".sr2", ".dng", ".raf", ".orf", ".rw2", ".pef", ".srw", ".3fr", ".iiq"),
+        (
+            ".cr2", ".cr3", ".crw", ".nef", ".nrw", ".arw", ".srf", ".sr2", ".dng", ".raf", ".orf", ".rw2", ".pef", ".srw", ".3fr",
+            ".iiq",
+        ),
         ("a raw camera file", _RAW),
     ),
 }
