@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import struct
 import tracemalloc
+import zipfile
 
 import numpy as np
 import pytest
@@ -68,6 +69,13 @@ def test_what_is_no_file_is_refused(tmp_path):
     for read in (read_merl, read_rgl):
         with pytest.raises(DataError, match="absent"):
             read(tmp_path / "absent")
+
+
+def test_a_device_that_never_ends_is_not_searched_for_an_archive(tmp_path, monkeypatch):
+    (tmp_path / "a.zip").symlink_to("/dev/zero")
+    monkeypatch.setattr(zipfile, "is_zipfile", lambda path: pytest.fail("it would read for ever"))
+    with pytest.raises(DataError, match=r"a\.zip.*there is no such file"):
+        load_brdf(tmp_path / "a.zip")
 
 
 @pytest.mark.parametrize("name, content", [("x.binary", MERL), ("x.bsdf", RGL)])

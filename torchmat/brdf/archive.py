@@ -31,7 +31,7 @@ def kind_by_name(path: str | Path) -> str | None:
 def _in_zip(path: str | Path) -> list[str]:
     """Return the BRDF files in a zip; of one that holds pictures too none, for a BTF may come with its BRDF."""
     try:
-        if not zipfile.is_zipfile(path):
+        if not os.path.isfile(path) or not zipfile.is_zipfile(path):  # a device such as /dev/zero never ends
             return []
         with zipfile.ZipFile(path) as archive:
             names = [name for name in archive.namelist() if not name.startswith("__MACOSX") and name[-1:] != "/"]
