@@ -8,8 +8,9 @@ import torch
 from torch import Tensor
 
 from torchmat import colour
-from torchmat.errors import ShapeError, check_finite, check_option, message
+from torchmat.errors import RangeError, ShapeError, check_finite, check_option, message
 from torchmat.geometry.integrate import frankot_chellappa, poisson
+from torchmat.geometry.mask import check_mask
 from torchmat.geometry.normals import check_height_scale, normals_from_height, slopes_from_normals
 from torchmat.geometry.photometric_stereo import Stereo, photometric_stereo
 
@@ -31,7 +32,8 @@ class Relief(NamedTuple):
 
 
 def relief_from_photographs(
-    images: Tensor, light: Tensor, weight: Tensor | None = None, tiles: bool = False, integration: str = "poisson"
+    images: Tensor, light: Tensor, weight: Tensor | None = None, tiles: bool = False, integration: str = "poisson",
+    mask: Tensor | None = None,
 ) -> Relief:
     """Return the relief that photographs of one view under known lights show.
 
@@ -39,25 +41,35 @@ def relief_from_photographs(
     stereo; the height by weighted least squares, trusting each texel as far as its confidence and brightness
     ("poisson"), or in one step by Fourier transform ("fourier"). One view fixes the scale of the slopes but no offset:
     the mean height is 0.
+
+    Of a `mask`, bool [H, W], only the object inside is looked at and integrated ("poisson"): the mean height of each piece is
+    0, and outside the relief is flat, as low as the object's border. Raises RangeError for "fourier", which knows no masks.
     """
     check_option("relief_from_photographs", "integration", integration, INTEGRATIONS)
-    return relief_from_stereo(photometric_stereo(images, light, weight), tiles, integration)
+    mask = None if mask is None else check_mask("relief_from_photographs", mask, (images.shape[-2], images.shape[-1]))
+    if mask is not None and integration != "poisson":
+        fact, step = f"it is {integration!r}, which integrates the whole picture", "Leave it out, or the mask (--mask none)."
+        raise RangeError(message("relief_from_photographs", "integration", "be 'poisson' with an object mask", fact, step))
+    return relief_from_stereo(photometric_stereo(images, light, weight, mask), tiles, integration, mask)
 
 
-def relief_from_stereo(found: Stereo, tiles: bool = False, integration: str = "poisson") -> Relief:
+def relief_from_stereo(
+    found: Stereo, tiles: bool = False, integration: str = "poisson", mask: Tensor | None = None
+) -> Relief:
     """Return the relief of the normals that photometric stereo found; see `relief_from_photographs`."""
     slopes = slopes_from_normals(found.normal)
     if integration == "poisson" and bool((found.confidence > 0).any()):
-        height = poisson(slopes, found.confidence * _signal(found.albedo), tiles)
+        height = poisson(slopes, found.confidence * _signal(found.albedo, mask), tiles, mask=mask)
     else:
         height = frankot_chellappa(slopes, tiles)
     return Relief(height, found.normal, found.albedo, found.confidence)
 
 
-def _signal(albedo: Tensor) -> Tensor:
+def _signal(albedo: Tensor, mask: Tensor | None) -> Tensor:
     """Return how far above its noise each texel stands, [1, H, W] in [0, 1]: a dark background has slopes of noise."""
     grey = albedo.mean(dim=0, keepdim=True)
-    bright = torch.sort(grey.flatten()).values[int(0.9 * (grey.numel() - 1))].clamp(min=1e-12)
+    known = grey.flatten() if mask is None else grey[0, mask]
+    bright = torch.sort(known).values[int(0.9 * (known.numel() - 1))].clamp(min=1e-12)
     return (grey / (_DARK * bright)).clamp(max=1) ** 2
 
 

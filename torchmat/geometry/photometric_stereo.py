@@ -10,6 +10,7 @@ from torch import Tensor
 
 from torchmat import safe
 from torchmat.errors import DataError, RangeError, ShapeError, check_finite, check_unit, message
+from torchmat.geometry.mask import check_mask
 
 _ROUNDS = 10
 _SPREAD_ROUNDS = 4  # then the spread stands: a median costs as much as the rest of a round, and it hardly moves
@@ -48,16 +49,20 @@ def check_lights(where: str, light: Tensor, images: int) -> None:
     raise RangeError(message(where, "lights", "be at least 3 and not in one plane", fact, step))
 
 
-def photometric_stereo(images: Tensor, light: Tensor, weight: Tensor | None = None) -> Stereo:
+def photometric_stereo(images: Tensor, light: Tensor, weight: Tensor | None = None, mask: Tensor | None = None) -> Stereo:
     """Return normals and albedo of images [n, 3, H, W] (linear, one view) under distant `light` [n, 3] (unit).
 
     Lambert's law by iteratively reweighted least squares on the mean of the channels, starting without each texel's
     darkest quarter and brightest tenth; Tukey's weights then decide what is shadow or highlight. `weight` [n, 1, H, W]
-    in [0, 1] marks samples to leave out. Woodham 1980; the reweighting follows Holland and Welsch 1977.
+    in [0, 1] marks samples to leave out. Outside of a `mask`, bool [H, W], nothing is looked at: the normal there is +z,
+    without albedo or confidence. Woodham 1980; the reweighting follows Holland and Welsch 1977.
     """
     where = "photometric_stereo"
     if images.ndim != 4 or images.shape[1] != 3 or 0 in images.shape:
         raise ShapeError(message(where, "images", "be [n, 3, H, W]", f"they are {tuple(images.shape)}"))
+    inside = None if mask is None else check_mask(where, mask, (images.shape[-2], images.shape[-1]))
+    if inside is not None:
+        return _inside(images, light, weight, inside)
     check_finite(where, "images", images, "Give those samples weight 0.")
     check_lights(where, light, len(images))
     height, width = images.shape[-2:]
@@ -75,6 +80,17 @@ def photometric_stereo(images: Tensor, light: Tensor, weight: Tensor | None = No
     return Stereo(
         normal.to(dtype).unflatten(1, size), albedo.to(dtype).unflatten(1, size), confidence.to(dtype).reshape(1, *size)
     )
+
+
+def _inside(images: Tensor, light: Tensor, weight: Tensor | None, inside: Tensor) -> Stereo:
+    """Return what `photometric_stereo` finds of the texels inside a mask, bool [H, W], put in their places."""
+    weight = None if weight is None else weight.reshape(len(images), 1, *inside.shape)[:, :, inside][:, :, None]
+    found = photometric_stereo(images[:, :, inside][:, :, None], light, weight)
+    normal, albedo, confidence = (values.new_zeros(len(values), *inside.shape) for values in found)
+    normal[2] = 1
+    for whole, values in zip((normal, albedo, confidence), found, strict=True):
+        whole[:, inside] = values[:, 0]
+    return Stereo(normal, albedo, confidence)
 
 
 def _parts(texels: int) -> list[slice]:
