@@ -79,7 +79,7 @@ def test_alpha_is_a_weight(tmp_path, channels, dtype, full, suffix):
     pixels = random_codes(3, (1, 4, channels), dtype)
     pixels[0, 0, 0] = full  # clipped, and left out all the same
     pixels[0, :, -1] = [0, full * 0.4, full * 0.6, full]
-    btf = load_btf(put_images(tmp_path / "d", pixels, suffix=suffix), encoding="linear")
+    btf = load_btf(put_images(tmp_path / "d", pixels, suffix=suffix), encoding="linear", mask="none")
     assert btf.weight(0).flatten().tolist() == [0, 0, 1, 1]
     assert btf.invalid_share == 0.5
     colours = pixels[..., :-1].astype("float64").transpose(2, 0, 1) / full

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import hashlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -13,9 +13,10 @@ from torch import Tensor
 
 from torchmat.btf.decode import Decoder
 from torchmat.btf.pixels import checksum
-from torchmat.btf.store import CLIPPED, INVALID, PixelStore, summarise
+from torchmat.btf.store import CLIPPED, INVALID, VALID, PixelStore, summarise
 from torchmat.btf.stream import Block, runs, stream_blocks
 from torchmat.errors import RangeError, ShapeError, check_finite, check_unit, message
+from torchmat.geometry.mask import check_mask
 
 # Little, so that unclipped samples decide where there are any; not 0, or a texel clipped throughout would turn black.
 CLIPPED_WEIGHT = 0.05
@@ -35,6 +36,7 @@ class Source:
     from_cache: bool = False
     notes: tuple[str, ...] = ()
     xyz: bool = False
+    mask: str = ""  # what the object mask was taken from
 
 
 def unique_directions(directions: Tensor) -> tuple[Tensor, Tensor]:
@@ -79,6 +81,7 @@ class Btf:
         source: where the images come from; None if they were given.
         clipped_weight: what a clipped sample counts in a fit, 0 to 1; an invalid one counts nothing.
         intensity: how bright each light was in red, green and blue [sample, 3]: values are divided by it; None is 1.
+        mask: which texels show the object, bool [H, W]; None is all. The others are 0, without weight, in every image.
     """
 
     def __init__(
@@ -90,6 +93,7 @@ class Btf:
         source: Source | None = None,
         clipped_weight: float = CLIPPED_WEIGHT,
         intensity: Tensor | None = None,
+        mask: Tensor | None = None,
     ) -> None:
         self._store = store
         self._decoder = decoder
@@ -98,6 +102,7 @@ class Btf:
         self.source = source or Source()
         self.clipped_weight = clipped_weight
         self.intensity = intensity
+        self.mask = mask
         self._validate()
         self.lights, self.light_index = unique_directions(light)
         self.views, self.view_index = unique_directions(view)
@@ -117,6 +122,9 @@ class Btf:
         if self.intensity is not None and (self.intensity.shape != (count, 3) or not bool((self.intensity > 0).all())):
             fact = f"it is {tuple(self.intensity.shape)}"
             raise ShapeError(message(where, "intensity", f"be [{count}, 3] and positive", fact))
+        if self.mask is not None and (self.mask.shape != (self.height, self.width) or self.mask.dtype != torch.bool):
+            fact = f"it is {list(self.mask.shape)} of {self.mask.dtype}"
+            raise ShapeError(message(where, "mask", f"be bool [{self.height}, {self.width}]", fact))
         below = self.view[:, 2] <= 0
         if bool(below.any()):
             fact = f"{int(below.sum())} of {count} views have z <= 0, first at sample {int(below.nonzero()[0, 0])}"
@@ -172,8 +180,59 @@ class Btf:
                 hint = "Give top, left, height and width in texels."
                 raise RangeError(message(self.source.path, f"the window's {name}", "lie within the images", fact, hint))
         part = copy.copy(self)
-        part._store = self._store.window(slice(top, top + height, step), slice(left, left + width, step))
+        rows, columns = slice(top, top + height, step), slice(left, left + width, step)
+        part._store = self._store.window(rows, columns)
+        mask = None if self.mask is None else self.mask[rows, columns]
+        part.mask = None if mask is None or bool(mask.all()) else mask
         return part
+
+    def masked(self, mask: Tensor, source: str = "") -> Btf:
+        """Return the same images of the object alone: texels outside of `mask`, bool [H, W] or [1, H, W], count nowhere.
+
+        They are 0, without weight, in every image; a mask that is there already leaves out what it did. `source` says in a
+        report where the mask is from. Raises ShapeError for another size, RangeError for a mask that is true nowhere.
+        """
+        found = check_mask(self.source.path, mask, (self.height, self.width))
+        part = copy.copy(self)
+        if found is not None:
+            part.mask = found if self.mask is None else found & self.mask
+            part.source = replace(self.source, mask=source or "the one given")
+        return part
+
+    def unmasked(self) -> Btf:
+        """Return the same images with all their texels."""
+        part = copy.copy(self)
+        part.mask = None
+        return part
+
+    @property
+    def inside(self) -> Tensor:
+        """The numbers [t] of the texels of the object, row by row: of all without a mask."""
+        if self.mask is None:
+            return torch.arange(self.height * self.width)
+        return self.mask.flatten().nonzero()[:, 0]
+
+    @property
+    def object_share(self) -> float:
+        """Share of the texels that show the object, 1 without a mask."""
+        return 1.0 if self.mask is None else float(self.mask.double().mean())
+
+    def object_figures(self) -> dict[str, dict[str, str | int | float]]:
+        """Return what a report says of the mask: where it is from, and the texels that it leaves; nothing without one."""
+        if self.mask is None:
+            return {}
+        return {"object": {"mask": self.source.mask, "texels": len(self.inside), "share": self.object_share}}
+
+    def seen_somewhere(self) -> Tensor:
+        """Return which texels hold data in some image, bool [H, W]."""
+        seen = np.zeros((self.height, self.width), dtype=bool)
+        if self._store.flags is None or int(self._store.invalid.min()) == 0:
+            return torch.from_numpy(~seen)
+        for flags in self._store.flags:
+            seen |= flags != INVALID
+            if seen.all():
+                break
+        return torch.from_numpy(seen)
 
     def identity(self) -> str:
         """Return a text that tells other data apart: of directions, ranges and counts, and of some images' codes."""
@@ -182,7 +241,7 @@ class Btf:
         digest.update(repr((float(self._decoder.exposure), self.clipped_weight)).encode())
         arrays = [self.light.numpy(), self.view.numpy(), store.clipped, store.invalid]
         arrays += [array for array in (store.low, store.high) if array is not None]
-        arrays += [] if self.intensity is None else [self.intensity.numpy()]
+        arrays += [part.numpy() for part in (self.intensity, self.mask) if part is not None]
         chosen = np.linspace(0, len(self) - 1, min(len(self), _LOOKED_AT)).round().astype(int)
         arrays += [part[row] for part in (store.pixels, store.flags) if part is not None for row in chosen]
         for array in arrays:
@@ -251,17 +310,27 @@ class Btf:
 
     @property
     def clipped_share(self) -> float:
-        """Share of all samples (texel x image) that stand at the largest code in some channel."""
-        return float(self._store.clipped.sum() / (len(self) * self.height * self.width))
+        """Share of all samples (texel of the object x image) that stand at the largest code in some channel."""
+        return self._share(CLIPPED, self._store.clipped)
 
     @property
     def invalid_share(self) -> float:
-        """Share of all samples (texel x image) that carry no data."""
-        return float(self._store.invalid.sum() / (len(self) * self.height * self.width))
+        """Share of all samples (texel of the object x image) that carry no data."""
+        return self._share(INVALID, self._store.invalid)
+
+    def _share(self, kind: int, counts: np.ndarray) -> float:
+        """Return the share of a kind of flag, of which each image has `counts`, among the object's samples."""
+        if self.mask is None:
+            return float(counts.sum() / (len(self) * self.height * self.width))
+        inside, flags = self.mask.numpy(), self._store.flags
+        found = 0 if flags is None else sum(int((flags[row][inside] == kind).sum()) for row in np.flatnonzero(counts))
+        return found / (len(self) * int(inside.sum()))
 
     @property
     def value_range(self) -> tuple[float, float]:
-        """Smallest and largest linear value over all images."""
+        """Smallest and largest linear value over all images, of the object where there is a mask."""
+        if self.mask is not None:
+            return self._range_of(lambda images: images[:, :, self.mask])
         if self.intensity is not None:
             return self._divided_range(1 / self.intensity)
         ends = np.array(self._store.ends()).astype(self._store.pixels.dtype)
@@ -297,28 +366,39 @@ class Btf:
         if len(rows):
             self._store.release(range(int(rows.min()), int(rows.max()) + 1))
         images = self._decoder.into(codes, torch.empty(codes.shape, dtype=dtype))
-        return images if self.intensity is None else images.div_(self.intensity[rows][:, :, None, None].to(dtype))
+        images = images if self.intensity is None else images.div_(self.intensity[rows][:, :, None, None].to(dtype))
+        return images if self.mask is None else images.masked_fill_(~self.mask, 0)
+
+    def _marks(self, samples: np.ndarray | slice, outside: int = INVALID) -> np.ndarray | None:
+        """Return the flags [k, H, W] of some samples, `outside` off the object; None where all are valid."""
+        flags = None if self._store.flags is None else self._store.flags[samples]
+        if self.mask is None:
+            return flags
+        count = samples.stop - samples.start if isinstance(samples, slice) else len(samples)
+        flags = np.zeros((count, self.height, self.width), np.uint8) if flags is None else flags
+        return np.where(self.mask.numpy(), flags, np.uint8(outside))
 
     def weights(self, indices: Sequence[int] | Tensor) -> Tensor:
         """Return the weights of chosen images [k, 1, H, W] in [0, 1]."""
         rows = self._rows(indices)
-        if self._store.flags is None:
-            return torch.ones(len(rows), 1, self.height, self.width)
-        return self._to_weight(self._store.flags[rows])
+        flags = self._marks(rows)
+        return torch.ones(len(rows), 1, self.height, self.width) if flags is None else self._to_weight(flags)
 
     def clipped(self, indices: Sequence[int] | Tensor) -> Tensor:
         """Return where chosen images are clipped, bool [k, 1, H, W]."""
         rows = self._rows(indices)
-        if self._store.flags is None:
+        flags = self._marks(rows)
+        if flags is None:
             return torch.zeros(len(rows), 1, self.height, self.width, dtype=torch.bool)
-        return torch.from_numpy(self._store.flags[rows] == CLIPPED)[:, None]
+        return torch.from_numpy(flags == CLIPPED)[:, None]
 
     def valid(self, indices: Sequence[int] | Tensor) -> Tensor:
         """Return where chosen images hold data, bool [k, 1, H, W]."""
         rows = self._rows(indices)
-        if self._store.flags is None:
+        flags = self._marks(rows)
+        if flags is None:
             return torch.ones(len(rows), 1, self.height, self.width, dtype=torch.bool)
-        return torch.from_numpy(self._store.flags[rows] != INVALID)[:, None]
+        return torch.from_numpy(flags != INVALID)[:, None]
 
     @property
     def clip_level(self) -> float:
@@ -333,10 +413,13 @@ class Btf:
             level = level / self.intensity[self._rows(indices)].to(images.dtype)
         return self.clipped(indices) & (images >= level[:, :, None, None])
 
+    def _range_of(self, part: Callable[[Tensor], Tensor]) -> tuple[float, float]:
+        ends = [part(self.images([row])).aminmax() for row in range(len(self))]
+        return min(float(low) for low, _ in ends), max(float(high) for _, high in ends)
+
     def _divided_range(self, factor: Tensor) -> tuple[float, float]:
         if self._store.low is None or self._store.high is None:
-            ends = [self.images([row]).aminmax() for row in range(len(self))]
-            return min(float(low) for low, _ in ends), max(float(high) for _, high in ends)
+            return self._range_of(lambda images: images)
         # Codes are known by sample alone: the range is that of a texel whose channels are all as dark or as bright.
         low, high = (self._decoder.into(np.ascontiguousarray(codes), torch.empty(len(self))) for codes in (self._store.low, self._store.high))
         return float((low[:, None] * factor).min()), float((high[:, None] * factor).max())
@@ -375,22 +458,30 @@ class Btf:
         flagged = self._reduced()
 
         def weigh(run: range) -> Tensor | None:
-            if self._store.flags is None or not flagged[run.start : run.stop].any():
+            if self.mask is None and (self._store.flags is None or not flagged[run.start : run.stop].any()):
                 return None
-            return self._to_weight(self._store.flags[run.start : run.stop])
+            flags = self._marks(slice(run.start, run.stop))
+            return None if flags is None else self._to_weight(flags)
 
         for block in stream_blocks(self._store, self._decoder, weigh, wanted, dtype, progress):
             if self.intensity is not None:
                 block.images.div_(self.intensity[block.samples.start : block.samples.stop, :, None, None].to(dtype))
+            if self.mask is not None:
+                block.images.masked_fill_(~self.mask, 0)
             yield block
 
     def weight_blocks(self, wanted: Tensor | None = None) -> Iterator[tuple[range, Tensor]]:
-        """Stream the weights [k, 1, H, W] of just those runs of samples in which some weight is below 1."""
+        """Stream the weights [k, 1, H, W] of just those runs of samples in which some weight of the object is below 1.
+
+        Off the object they are 1: values there are 0, and no texel's equations need be solved for them.
+        """
         if self._store.flags is None:
             return
         reduced = torch.from_numpy(self._reduced() > 0)
         for run in runs(self._store, reduced if wanted is None else reduced & wanted):
-            yield run, self._to_weight(self._store.flags[run.start : run.stop])
+            flags = self._marks(slice(run.start, run.stop), VALID)
+            assert flags is not None
+            yield run, self._to_weight(flags)
             self._store.release(run)
 
     def _reduced(self) -> np.ndarray:

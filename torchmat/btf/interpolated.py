@@ -58,7 +58,7 @@ class RawBtf:
         self.size = (btf.height, btf.width)
         self._btf = btf
         self._memory_gb = memory_gb
-        self._masked = btf.invalid_share > 0
+        self._masked = btf.mask is not None or btf.invalid_share > 0
         self._pairs = measured_pairs(btf.source.path, btf.light, btf.view)
         factor = self._pairs.factor
         self._factor = None if factor is None else factor.to(dtype).flatten()

@@ -81,15 +81,23 @@ class _Sample(NamedTuple):
     def read_as(self, encoding: str) -> _Sample:
         return _Sample(self.btf.read_as(encoding), self.rows)
 
+    def _seen(self) -> tuple[Tensor, Tensor]:
+        """Return images [n, 3, h, w] and weights [n, 1, h, w], of an object alone [n, ..., t, 1]."""
+        images, weight, mask = self.btf.images(self.rows), self.btf.weights(self.rows), self.btf.mask
+        if mask is None or not bool(mask.any()):
+            return images, weight
+        return images[:, :, mask][..., None], weight[:, :, mask][..., None]
+
     def residual(self, light: Tensor | None = None, intensity: Tensor | None = None) -> float:
-        images = self.btf.images(self.rows)
+        images, weight = self._seen()
         if intensity is not None:
             images = images / intensity[:, :, None, None].to(images.dtype)
         light = self.btf.light[self.rows] if light is None else light
-        return lambert_residual(images, light, photometric_stereo(images, light, self.btf.weights(self.rows)))
+        return lambert_residual(images, light, photometric_stereo(images, light, weight))
 
     def intensities(self) -> Tensor | None:
-        return estimate_intensities(self.btf.images(self.rows), self.btf.light[self.rows], self.btf.weights(self.rows))
+        images, weight = self._seen()
+        return estimate_intensities(images, self.btf.light[self.rows], weight)
 
     def best(self, known: float) -> float:
         """Return the residual with the intensities that fit best, if it is below what is `known`."""

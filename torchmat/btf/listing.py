@@ -46,6 +46,12 @@ def is_image(name: str) -> bool:
     return PurePosixPath(name).suffix.lower() in IMAGE_SUFFIXES
 
 
+def is_mask(name: str) -> bool:
+    """Tell whether an image is by its name the mask of others: ``mask.png``, ``cat.mask.png``."""
+    stem = PurePosixPath(name).stem.casefold()
+    return is_image(name) and (stem == "mask" or stem.endswith(".mask"))
+
+
 def from_degrees(polar_deg: list[float], azimuth_deg: list[float]) -> Tensor:
     """Return unit directions [n, 3], float64, of angles in degrees."""
     polar = torch.deg2rad(torch.tensor(polar_deg, dtype=torch.float64))

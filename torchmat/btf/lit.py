@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import torch
 
 from torchmat.btf.light_table import LightTable, parse_lights
-from torchmat.btf.listing import FileNames, Listing, is_image, natural, read_text
+from torchmat.btf.listing import FileNames, Listing, is_image, is_mask, natural, read_text
 from torchmat.btf.source import Folder, Zip
 from torchmat.errors import DataError, message
 
@@ -36,7 +36,7 @@ def in_order(source: Folder | Zip, folder: str | None = None) -> tuple[list[str]
         files = [known.find(f"{source.path}: {name}: line {number}", line) for number, line in lines if line]
         if files:
             return files, f"the order of {name}"
-    images = [name for name in source.names if is_image(name)]
+    images = [name for name in source.names if is_image(name) and not is_mask(name)]
     folders = {str(PurePosixPath(name).parent) for name in images}
     if folder is None and folders:
         folder = min(folders, key=lambda path: (0 if path == "." else path.count("/") + 1, natural(path)))
@@ -89,7 +89,7 @@ def paired(source: Folder | Zip, table: LightTable, beside: str = "", folder: st
 def _unlisted(source: Folder | Zip, files: Sequence[str]) -> tuple[str, ...]:
     """Return a note on photographs beside the listed ones that no line names."""
     folders, listed = {PurePosixPath(name).parent for name in files}, set(files)
-    left = [name for name in source.names if is_image(name) and PurePosixPath(name).parent in folders and name not in listed]
+    left = [name for name in source.names if is_image(name) and not is_mask(name) and PurePosixPath(name).parent in folders and name not in listed]
     if not left:
         return ()
     return (f"{len(left)} images are not in the table of lights and are left out, first {min(left, key=natural)}",)

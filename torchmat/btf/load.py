@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import torch
+from torch import Tensor
 
 from torchmat.btf.btf import CLIPPED_WEIGHT, Btf, Source, unique_directions
 from torchmat.btf.cache import open_store
@@ -19,6 +20,7 @@ from torchmat.btf.decode import ENCODINGS, Decoder, resolve_encoding
 from torchmat.btf.lambert import with_estimated_intensities
 from torchmat.btf.lighting import Lighting, by_ball, by_table, home_of
 from torchmat.btf.listing import Listing
+from torchmat.btf.object_mask import chosen_mask
 from torchmat.btf.pixels import PixelOptions, has_profile, tag_notes
 from torchmat.btf.reader import READERS
 from torchmat.btf.readers import keep_samples, open_source, read_listing, reading_key
@@ -51,6 +53,7 @@ def load_btf(
     intensities: str | Path | None = None,
     skip_bad_lights: bool = False,
     clipped_weight: float = CLIPPED_WEIGHT,
+    mask: str | Path | Tensor | np.ndarray | None = None,
     cache: bool | str | Path = True,
     progress: bool | None = None,
 ) -> Btf:
@@ -83,6 +86,10 @@ def load_btf(
         skip_bad_lights: whether to leave out lights below the surface or without a direction, and lines whose photograph is
             not there; else they are an error. How many is in ``btf.source.notes``.
         clipped_weight: what a clipped sample counts in a fit, 0 to 1.
+        mask: which texels show the object; the others count nowhere. The path of a picture in the photographs' size (white is
+            the object), bool [H, W] of the texels, "alpha" of the photographs, "background" for what is not dark in all of
+            them from the border on, a guess, or "none". None is a ``mask.png`` beside the photographs or above them, else
+            their alpha, where it leaves texels out of all of them.
         cache: folder for decoded images; True is the user's cache folder, or $TORCHMAT_CACHE, and False is none.
         progress: whether to show a bar; None shows it on a terminal.
 
@@ -118,15 +125,16 @@ def load_btf(
             (*reading_key(source, kind), duplicates, normalise, skip_bad_lights, lighting and lighting.key, given), options,
             cache, progress,
         )
+        listing, store = _select(opened.listing, opened.store, lights, views, str(path))
+        stored = store.pixels.dtype
+        decoder = Decoder(stored, "linear" if opened.linear else resolve_encoding(encoding, stored), float(exposure))
+        seconds = time.perf_counter() - start
+        origin = Source(listing.kind, str(path), listing.files, seconds, opened.from_cache, listing.notes, opened.xyz)
+        intensity = None if listing.intensity is None else listing.intensity.float()
+        btf = Btf(store, listing.light.float(), listing.view.float(), decoder, origin, clipped_weight, intensity)
+        btf = chosen_mask(source, listing, btf, mask, options.crop, options.downscale)
     finally:
         source.close()
-    listing, store = _select(opened.listing, opened.store, lights, views, str(path))
-    stored = store.pixels.dtype
-    decoder = Decoder(stored, "linear" if opened.linear else resolve_encoding(encoding, stored), float(exposure))
-    seconds = time.perf_counter() - start
-    origin = Source(listing.kind, str(path), listing.files, seconds, opened.from_cache, listing.notes, opened.xyz)
-    intensity = None if listing.intensity is None else listing.intensity.float()
-    btf = Btf(store, listing.light.float(), listing.view.float(), decoder, origin, clipped_weight, intensity)
     return with_estimated_intensities(btf) if estimate else btf
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from pathlib import PurePosixPath
 
-from torchmat.btf.listing import Listing, from_degrees, is_image
+from torchmat.btf.listing import Listing, from_degrees, is_image, is_mask
 from torchmat.btf.pixels import images_of_files
 from torchmat.btf.reader import Reader
 from torchmat.btf.source import Folder, Zip
@@ -24,7 +24,7 @@ def _separator(source: Folder | Zip) -> str | None:
 
 
 def _read_names(source: Folder | Zip, kind: str) -> Listing:
-    files = [name for name in source.names if is_image(name)]
+    files = [name for name in source.names if is_image(name) and not is_mask(name)]
     if not files:
         fact = f"none of {len(source.names)} files is one"
         step = "Give the folder or the zip that holds the images."

@@ -8,13 +8,14 @@ from typing import Any, ClassVar
 
 SAMPLE = "sample"
 NO_INTENSITIES = "none"
+_MASK_WORDS = ("alpha", "background", "none")
 
 
 @dataclass
 class DataArguments:
     """How the images are read."""
 
-    reads: ClassVar = ("lights", "ball")
+    reads: ClassVar = ("lights", "ball", "mask_file")
     cache: Path | None = None
     """Folder for decoded images (default: the user's cache folder, or $TORCHMAT_CACHE)."""
     no_cache: bool = False
@@ -45,6 +46,9 @@ class DataArguments:
     intensities: str | None = None
     """File with the intensity of each light, one number or red, green and blue; or estimate; or none, those of the table
     alone (default: as none; geometry estimates them where that explains the photographs far better)."""
+    mask: str | None = None
+    """Picture in the photographs' size, white on the object: all else counts nowhere; or alpha, background (what is dark in all
+    photographs, from the border on: a guess), or none (default: a mask.png beside them, else their alpha)."""
     skip_bad_lights: bool = False
     """Leave out lights below the surface and lines whose photograph is not there, instead of refusing all."""
     write_lights: Path | None = None
@@ -54,9 +58,14 @@ class DataArguments:
     clipped_weight: float | None = None
     """What a clipped sample counts in the fit, 0 to 1."""
 
+    @property
+    def mask_file(self) -> str | None:
+        """The picture that is given as a mask, None where a word says which."""
+        return None if self.mask in _MASK_WORDS else self.mask
+
     def keywords(self) -> dict[str, Any]:
         """Return what was given on the command line as keywords of `load_btf`."""
-        names = ("kind", "encoding", "exposure", "crop", "downscale", "invalid", "duplicates", "clipped_weight", "circle")
+        names = ("kind", "encoding", "exposure", "crop", "downscale", "invalid", "duplicates", "clipped_weight", "circle", "mask")
         given = {name: getattr(self, name) for name in names if getattr(self, name) is not None}
         given |= {name: True for name in ("normalise", "skip_bad_lights") if getattr(self, name)}
         paths = {"light_table": self.lights, "ball": self.ball}

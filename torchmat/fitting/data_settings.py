@@ -40,6 +40,7 @@ _RULES: dict[str, tuple[str, Callable[[Any], bool]]] = {
     "ball": ("be the path of a folder of photographs of a chrome ball", lambda value: isinstance(value, str)),
     "circle": ("be three numbers: column, row, radius", lambda value: _are_numbers(value) and len(value) == 3),
     "intensities": ("be the path of a file of intensities, or estimate", lambda value: isinstance(value, str)),
+    "mask": ("be the path of a picture, alpha, background or none", lambda value: isinstance(value, str)),
     "skip_bad_lights": ("be true or false", lambda value: isinstance(value, bool)),
     "clipped_weight": ("be a number from 0 to 1", lambda value: _is_number(value) and 0 <= value <= 1),
 }
