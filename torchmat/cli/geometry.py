@@ -38,13 +38,15 @@ class Geometry:
     def run(self) -> None:
         from torchmat.material_io.relief_folder import check_target, save_relief
         from torchmat.report.lights import ball_picture
-        from torchmat.report.pictures import relief_picture
+        from torchmat.report.pictures import mask_picture, relief_picture
 
         check_target(self.out, self.force)  # before the work, not after it
-        relief, described = self._recover()
+        relief, described, btf = self._recover()
 
         def draw(building: Path) -> None:
             relief_picture(relief, building / "relief.png")
+            if btf is not None:
+                mask_picture(btf, building / "object_mask.png")
             if self.read.ball is not None and self.read.circle is not None:
                 ball_picture(self.read.ball, self.read.circle, building / "ball.png")
 
@@ -53,7 +55,7 @@ class Geometry:
             print(f"relief     {path}")
 
     def _recover(self):
-        """Return the relief, and what is to be said of where it comes from."""
+        """Return the relief, what is to be said of where it comes from, and the BTF that it is of, None for a picture."""
         from torchmat import colour
         from torchmat.btf.listing import is_image
         from torchmat.btf.photographs import read_linear
@@ -61,15 +63,22 @@ class Geometry:
 
         if Path(self.path).is_file() and is_image(self.path):
             picture = colour.display(read_linear(self.path, self.read.encoding or "auto"))
-            return relief_from_picture(picture, self.height_scale, self.normal_strength, self.tiles), {}
+            return relief_from_picture(picture, self.height_scale, self.normal_strength, self.tiles), {}, None
         btf = self.read.load(self.path)
+        self._check_integration(btf)
         if len(btf.views) > 1:
             from torchmat.fitting import recover_geometry
 
             found = recover_geometry(btf, tiles=self.tiles)
             print("; ".join(f"{key}: {value}" for key, value in found.figures().items()))
-            return found.relief, {}
-        return self._of_one_view(btf)
+            return found.relief, btf.object_figures(), btf
+        return *self._of_one_view(btf), btf
+
+    def _check_integration(self, btf) -> None:
+        """Raise RangeError for a mask that the integration has no use for, before the work."""
+        from torchmat.geometry.from_photographs import check_integration
+
+        check_integration("geometry", self.integration, btf.mask if len(btf.views) == 1 else None)
 
     def _of_one_view(self, btf):
         from torchmat.btf.lambert import lambert_of, with_estimated_intensities
@@ -91,5 +100,6 @@ class Geometry:
         images, light, weight = lit.images(range(len(lit))), lit.light, lit.weights(range(len(lit)))
         described = {
             "notes": list(lit.source.notes), "lights": paired_lights(lit), "lambert": figures and figures.report(),
+            **btf.object_figures(),
         }
-        return relief_from_photographs(images, light, weight, self.tiles, self.integration), described
+        return relief_from_photographs(images, light, weight, self.tiles, self.integration, lit.mask), described

@@ -31,6 +31,10 @@ def averaged(btf: Btf, rows: Tensor, size: Sequence[int], dtype: torch.dtype) ->
         clipped = functional.adaptive_avg_pool2d(btf.clipped(part).to(dtype), shape) > 0
         flags.append(torch.where(there < _KNOWN, INVALID, torch.where(clipped, CLIPPED, VALID))[:, 0].to(torch.uint8))
     pixels = torch.cat(images).numpy()
+    mask = None
+    if btf.mask is not None:
+        share = functional.adaptive_avg_pool2d(btf.mask[None, None].to(dtype), shape)[0, 0]
+        mask = None if bool((share >= _KNOWN).all()) else share >= _KNOWN
     store = summarise(pixels, torch.cat(flags).numpy())
     decoder = Decoder(pixels.dtype, "linear", 1.0)
-    return Btf(store, btf.light[rows], btf.view[rows], decoder, btf.source, btf.clipped_weight)
+    return Btf(store, btf.light[rows], btf.view[rows], decoder, btf.source, btf.clipped_weight, mask=mask)

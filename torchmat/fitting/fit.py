@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -31,10 +31,11 @@ from torchmat.fitting.scene.report import scene_figures
 from torchmat.fitting.tiles.fit import fit_tiled
 from torchmat.fitting.tiles.work import clear_work
 from torchmat.fitting.training import Fitted, Training, make_training
-from torchmat.fitting.wanted import make_target
+from torchmat.fitting.wanted import Target, make_target
 from torchmat.geometry import Relief
 from torchmat.machine import peak_memory_mb, versions
 from torchmat.models import Material
+from torchmat.models.masked import cut_out
 from torchmat.scene_use import SceneUse, Usable, as_use
 from torchmat.solvers.clock import Watch
 
@@ -149,6 +150,8 @@ def fit(
     training = make_training(btf, split.train, config.seed, config.tiles, dtype, progress, watch)
     with torch.no_grad():
         fitted = task.run(training)
+        if task.scene is None:  # else it has cut out what it fitted
+            fitted = replace(fitted, material=cut_out(fitted.material, btf.mask))
         watch.note(lambda: fitted.material)
     seconds = watch.seconds
     errors, held_out = nothing_measured(), None
@@ -232,7 +235,7 @@ def _described(btf: Btf, config: FitConfig, fitted: Fitted) -> dict[str, Any]:
         "data": config.data,
         "bytes_per_texel": material.bytes_per_texel, "shared_bytes": material.shared_bytes,
         "load_seconds": btf.source.load_seconds, "shade_mtexels_per_s": shading_rate(material),
-        "peak_rss_mb": peak_memory_mb(), "stop_reason": fitted.stop_reason, "coverage": _coverage(fitted.coverage),
+        "peak_rss_mb": peak_memory_mb(), "stop_reason": fitted.stop_reason, "coverage": _coverage(fitted.coverage, btf.mask),
         **_source(btf), "figures": fitted.figures, "versions": versions(),
     }
 
@@ -250,7 +253,7 @@ def _fitted(
             step = "Let it choose on a crop of the images, then fit the model that it picked by tiles."
             fact = "tile_size, memory_mb or work is given"
             raise RangeError(message("fit auto", "the choice", "be made on all texels at once", fact, step))
-        return fit_auto(training, make_target("fit", config.target), geometry)
+        return fit_auto(training, _beside_opacity(make_target("fit", config.target), training.btf), geometry)
     if by_tiles:
         return fit_tiled(training, config.model, options, geometry, config.tile_size, config.memory_mb, work)
     return fit_with_geometry(training, config.model, options, geometry)
@@ -270,9 +273,20 @@ def _resolve(
     return dataclasses.replace(base, **given, target={**base.target, **wanted}, options={**base.options, **options})
 
 
-def _coverage(coverage: Tensor | None) -> dict[str, float] | None:
+def _beside_opacity(target: Target, btf: Btf) -> Target:
+    """Return the target of the maps beside the opacity of an object, which takes a byte a texel of what is allowed."""
+    if btf.mask is None or target.bytes is None:
+        return target
+    if target.bytes <= 1:
+        fact = f"it is {target.bytes:.3g} a texel, of which the mask takes 1"
+        raise RangeError(message("fit auto", "bytes", "hold a material and its object mask", fact, "Give more, or mask=\"none\"."))
+    return replace(target, bytes=target.bytes - 1)
+
+
+def _coverage(coverage: Tensor | None, mask: Tensor | None) -> dict[str, float] | None:
     if coverage is None:
         return None
+    coverage = coverage if mask is None or coverage.shape[-2:] != mask.shape else coverage[:, mask]
     return {
         "least": float(coverage.min()), "mean": float(coverage.mean()),
         "texels_not_fully_determined": int((coverage < 1).sum()),
@@ -285,6 +299,6 @@ def _source(btf: Btf) -> dict[str, Any]:
             "kind": btf.source.kind, "path": btf.source.path, "height": btf.height, "width": btf.width,
             "lights": len(btf.lights), "views": len(btf.views), "encoding": btf.encoding, "exposure": btf.exposure,
             "clipped_share": btf.clipped_share, "invalid_share": btf.invalid_share, "notes": list(btf.source.notes),
-            "lights_of": paired_lights(btf),
+            "lights_of": paired_lights(btf), **btf.object_figures(),
         }
     }

@@ -133,7 +133,7 @@ class Descending:
         if _AMBIENT in material.maps:
             specs, values = [*specs, AMBIENT], {**values, _AMBIENT: material.maps[_AMBIENT]}
         free = [name for name in material.maps if name not in (*kept, _HEIGHT)]
-        self.unknowns = Unbounded(specs, values, set(values) - set(free))
+        self.unknowns = Unbounded(specs, values, set(values) - set(free), training.btf.mask)
         self._see()
 
     @property

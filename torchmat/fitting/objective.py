@@ -89,6 +89,9 @@ def mean_value(training: Training) -> float:
         images = block.images if every else block.images[training.used[block.samples.start : block.samples.stop]]
         total += images.mean(dim=1, dtype=torch.float64).sum(dim=0)
     each = total / max(int(training.used.sum()), 1)
+    each = each if btf.mask is None else each[btf.mask]
+    if not each.numel():
+        return 1e-12
     usual = each[each > 0].median() if bool((each > 0).any()) else each.max()
     with one_thread():
         # One texel a million times as bright as the cloth must not decide what is dark.

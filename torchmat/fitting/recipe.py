@@ -217,7 +217,10 @@ class Recipe:
         return solver
 
     def run(self, training: Training, **options: Any) -> Fitted:
-        """Fit the model to a flat surface by one of its solvers."""
+        """Fit the model to a flat surface by one of its solvers; neutral off the object, where there is a mask."""
+        return self._run(training, options).settled(training.btf.mask)
+
+    def _run(self, training: Training, options: dict[str, Any]) -> Fitted:
         solver, objective = self.solver_of(options), options.pop("objective", self.objective)
         options.pop("solver", None)
         if self.start is not None:
@@ -243,7 +246,8 @@ class Recipe:
         if solver.name not in self.solvers:
             return None
         own = {name: value for name, value in options.items() if name not in ("solver", "objective")}
-        return self.on_relief(surface, height, **own, **_taken(self.on_relief, solver=solver, objective=objective))
+        found = self.on_relief(surface, height, **own, **_taken(self.on_relief, solver=solver, objective=objective))
+        return None if found is None else found.settled(surface.training.btf.mask)
 
 
 def with_setting(where: str, solver: Solver, name: str, value: Any) -> Solver:

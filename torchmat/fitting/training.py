@@ -14,6 +14,7 @@ from torchmat.fitting.scene.share import SceneShare
 from torchmat.fitting.shared import Shared
 from torchmat.geometry import Relief
 from torchmat.models import Material
+from torchmat.models.masked import neutral_outside
 from torchmat.solvers.clock import Watch
 from torchmat.solvers.stop_reasons import CLOSED_FORM
 
@@ -105,6 +106,13 @@ class Fitted:
     shared: Shared = Shared()
     options: dict[str, Any] | None = None
     scene: SceneShare | None = None
+
+    def settled(self, mask: Tensor | None) -> Fitted:
+        """Return the same fit, neutral and without coverage outside of an object's `mask`, bool [H, W]."""
+        if mask is None:
+            return self
+        coverage = None if self.coverage is None else self.coverage * mask
+        return replace(self, material=neutral_outside(self.material, mask), coverage=coverage)
 
     def with_material(self, material: Material) -> Fitted:
         """Return the same findings with another material."""

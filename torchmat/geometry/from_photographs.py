@@ -31,6 +31,14 @@ class Relief(NamedTuple):
     confidence: Tensor | None = None
 
 
+def check_integration(where: str, integration: str, mask: Tensor | None) -> None:
+    """Raise RangeError unless slopes can be integrated so, within an object `mask` where there is one."""
+    check_option(where, "integration", integration, INTEGRATIONS)
+    if mask is not None and integration != "poisson":
+        fact, step = f"it is {integration!r}, which integrates the whole picture", "Leave it out, or the mask (--mask none)."
+        raise RangeError(message(where, "integration", "be 'poisson' with an object mask", fact, step))
+
+
 def relief_from_photographs(
     images: Tensor, light: Tensor, weight: Tensor | None = None, tiles: bool = False, integration: str = "poisson",
     mask: Tensor | None = None,
@@ -45,11 +53,8 @@ def relief_from_photographs(
     Of a `mask`, bool [H, W], only the object inside is looked at and integrated ("poisson"): the mean height of each piece is
     0, and outside the relief is flat, as low as the object's border. Raises RangeError for "fourier", which knows no masks.
     """
-    check_option("relief_from_photographs", "integration", integration, INTEGRATIONS)
     mask = None if mask is None else check_mask("relief_from_photographs", mask, (images.shape[-2], images.shape[-1]))
-    if mask is not None and integration != "poisson":
-        fact, step = f"it is {integration!r}, which integrates the whole picture", "Leave it out, or the mask (--mask none)."
-        raise RangeError(message("relief_from_photographs", "integration", "be 'poisson' with an object mask", fact, step))
+    check_integration("relief_from_photographs", integration, mask)
     return relief_from_stereo(photometric_stereo(images, light, weight, mask), tiles, integration, mask)
 
 

@@ -22,7 +22,7 @@ DEPTHS = ("16", "float")
 _RECORD = "relief.json"
 _FILES = (
     _RECORD, "height.png", "height.exr", "normal_gl.png", "normal_gl.exr", "normal_dx.png", "normal_dx.exr",
-    "albedo.exr", "confidence.png", "relief.png", "ball.png",
+    "albedo.exr", "confidence.png", "relief.png", "ball.png", "object_mask.png",
 )
 
 

@@ -40,8 +40,11 @@ def map_of(spec: MapSpec, parameter: Tensor, scale: Tensor | None = None) -> Ten
     return spec.low + (spec.high - spec.low) / (1 + (-parameter).exp())
 
 
-def parameter_of(spec: MapSpec, value: Tensor, scale: Tensor | None = None) -> Tensor:
-    """Return the parameter that stands for a map, whose values are moved off the ends of their range."""
+def parameter_of(spec: MapSpec, value: Tensor, scale: Tensor | None = None, known: Tensor | None = None) -> Tensor:
+    """Return the parameter that stands for a map, whose values are moved off the ends of their range.
+
+    `known` are those of its values that say what is usual, None for all.
+    """
     if spec.kind == "normal":
         return slopes_from_normals(safe.normalise(value)).clone()
     if spec.kind == "rotation":
@@ -51,7 +54,7 @@ def parameter_of(spec: MapSpec, value: Tensor, scale: Tensor | None = None) -> T
     if spec.low is None:
         return value.clone() if scale is None else value / scale
     if spec.high is None:
-        return (value - spec.low).clamp(min=_LEAST * usual_size(value)).log()
+        return (value - spec.low).clamp(min=_LEAST * usual_size(value if known is None else known)).log()
     return torch.logit(((value - spec.low) / (spec.high - spec.low)).clamp(_LEAST, 1 - _LEAST))
 
 
@@ -78,18 +81,21 @@ class Unbounded:
     """The free ones of some maps as parameters, leaves that gradients reach.
 
     `specs` say what the `maps` are; those in `fixed` stay as they are, with those that never are free (`is_free`).
-    `rates` are how fast each parameter may go, relative to the others.
+    `rates` are how fast each parameter may go, relative to the others. What is usual is that of the texels of an object's
+    `mask`, bool [H, W], None for all.
     """
 
     def __init__(
-        self, specs: Iterable[MapSpec], maps: Mapping[str, Tensor] | nn.ParameterDict, fixed: Iterable[str] = ()
+        self, specs: Iterable[MapSpec], maps: Mapping[str, Tensor] | nn.ParameterDict, fixed: Iterable[str] = (),
+        mask: Tensor | None = None,
     ) -> None:
         fixed = set(fixed)
         self.specs = {spec.name: spec for spec in specs if is_free(spec) and spec.name not in fixed}
         values = {name: maps[name].detach() for name in self.specs}
-        self._scales = {name: _scale_of(self.specs[name], value) for name, value in values.items()}
+        known = {name: _inside(self.specs[name], value, mask) for name, value in values.items()}
+        self._scales = {name: _scale_of(self.specs[name], value) for name, value in known.items()}
         self.parameters = [
-            parameter_of(spec, values[name], self._scales[name]).requires_grad_() for name, spec in self.specs.items()
+            parameter_of(spec, values[name], self._scales[name], known[name]).requires_grad_() for name, spec in self.specs.items()
         ]
 
     @property
@@ -113,6 +119,12 @@ class Unbounded:
         """Return the maps as they stand, as tensors of their own."""
         with torch.no_grad():
             return {name: value.detach().clone() for name, value in self.maps().items()}
+
+
+def _inside(spec: MapSpec, value: Tensor, mask: Tensor | None) -> Tensor:
+    """Return the values of a map on an object, all of them without a mask and of what all texels share."""
+    shared = spec.constant or not spec.per_texel
+    return value if mask is None or shared or not bool(mask.any()) else value[:, mask]
 
 
 def _scale_of(spec: MapSpec, value: Tensor) -> Tensor | None:

@@ -21,7 +21,7 @@ from torchmat.material_io import load_material
 from torchmat.material_io.folder import MANIFEST
 from torchmat.material_io.volume import is_volume
 from torchmat.models.storage import StoredAs
-from torchmat.report.tables import number, text_table
+from torchmat.report.tables import number, object_text, text_table
 
 _ALBEDO_DEG = (0, 45, 75)
 _STEPS = 128  # the albedo of Lambert is then right to 2e-4
@@ -51,6 +51,7 @@ def describe_btf(btf: Btf) -> str:
         ["kind", source.kind],
         ["samples (images)", len(btf)],
         ["size", f"{btf.height} x {btf.width} texels"],
+        *([["object", object_text(btf.source.mask, btf.object_share)]] if btf.mask is not None else []),
         ["lights", _polar_range(btf.lights)],
         ["views", _polar_range(btf.views)],
         ["pairs covered", f"{len(btf)} of {grid} ({100 * len(btf) / grid:.1f} %)"],

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from torchmat.report.decisions_page import decision_rows, map_rows, outcome_text, shrinking_rows, wanted_text
-from torchmat.report.tables import error_rows, measured_rows, number, scene_rows
+from torchmat.report.tables import error_rows, measured_rows, number, object_text, scene_rows
 
 _STYLE = """
 body{font-family:system-ui,sans-serif;margin:2em auto;max-width:62em;padding:0 1em;color:#222}
@@ -23,6 +23,7 @@ _CAPTIONS = {
     "error_by_angle": "Error against the polar angle of light and view.",
     "sphere": "The material on a sphere.",
     "coverage": "Which share of its unknowns each texel's samples determine.",
+    "object_mask": "What counts as the object, outlined; the rest is red and counts nowhere.",
     "directions": "Lights and views on the projected hemisphere.",
     "error_against_bytes": "Held-out error against bytes per texel.",
     "error_against_seconds": "Held-out error against fit seconds.",
@@ -64,6 +65,7 @@ def fit_page(report: dict[str, Any], pictures: Sequence[Path]) -> str:
         ["source", f"{source['kind']}, {source['lights']} lights x {source['views']} views"],
         ["size", f"{source['height']} x {source['width']} texels, {report['samples']} images"],
         ["clipped / invalid share", f"{number(source['clipped_share'])} / {number(source['invalid_share'])}"],
+        *([["object", object_text(source["object"]["mask"], source["object"]["share"])]] if "object" in source else []),
         ["options", ", ".join(f"{k}={v}" for k, v in report["options"].items())],
         ["held out", f"{number(report['holdout'])} of the samples, by {report['holdout_by']}, seed {report['seed']}"],
         ["bytes per texel", f"{number(report['bytes_per_texel'])}, and {report['shared_bytes']} shared by all texels"],

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -16,6 +17,7 @@ from torchmat.geometry import Relief, normals_from_slopes, slopes_from_height
 from torchmat.rendering import render
 
 DPI = 120
+_MASK_SAMPLES = 16  # images of which the brightest is drawn beneath a mask
 
 
 def plotting() -> Any:
@@ -28,8 +30,10 @@ def plotting() -> Any:
     return pyplot
 
 
-def _shown(image: Tensor) -> Any:
-    return colour.display(image).permute(1, 2, 0).numpy()
+def _shown(image: Tensor, mask: Tensor | None = None) -> Any:
+    """Return an image as it is shown, [H, W, 3]; grey outside of an object's `mask`."""
+    shown = colour.display(image)
+    return (shown if mask is None else torch.where(mask, shown, 0.5)).permute(1, 2, 0).numpy()
 
 
 def save_figure(figure: Any, path: Path) -> Path:
@@ -76,7 +80,7 @@ def comparison_picture(btf: Btf, result: FitResult, path: Path) -> Path:
         scale = float(target.quantile(0.99).clamp(min=1e-6)) if target.numel() < 1e7 else float(target.max())
         scale = 1.0 if scale > 0.5 else scale
         difference = (colour.display(fitted / scale) - colour.display(target / scale)) / 2 + 0.5
-        pictures = (_shown(target / scale), _shown(fitted / scale), difference.permute(1, 2, 0).numpy())
+        pictures = (_shown(target / scale, btf.mask), _shown(fitted / scale, btf.mask), difference.permute(1, 2, 0).numpy())
         title = f"{why}: light {_degrees(btf.light[sample])}, view {_degrees(btf.view[sample])}"
         brighter = "" if scale == 1.0 else f" (shown {1 / scale:.1f}x brighter)"
         for axis, picture, name in zip(line, pictures, (title + brighter, "fit", "fit - target (grey: none)"), strict=True):
@@ -112,12 +116,16 @@ def angle_picture(result: FitResult, path: Path) -> Path:
     return save_figure(figure, path)
 
 
-def coverage_picture(result: FitResult, path: Path) -> Path | None:
-    """Draw which share of its unknowns each texel's samples determine; None when the model has no such map."""
+def coverage_picture(result: FitResult, path: Path, mask: Tensor | None = None) -> Path | None:
+    """Draw which share of its unknowns each texel's samples determine; None when the model has no such map.
+
+    What is outside an object's `mask`, bool [H, W], is left blank.
+    """
     if result.coverage is None:
         return None
     figure, axis = plotting().subplots(figsize=(4.4, 3.6))
-    drawn = axis.imshow(result.coverage[0].numpy(), vmin=0, vmax=1, cmap="viridis", interpolation="nearest")
+    coverage = result.coverage[0] if mask is None or mask.shape != result.coverage[0].shape else result.coverage[0].where(mask, torch.nan)
+    drawn = axis.imshow(coverage.numpy(), vmin=0, vmax=1, cmap="viridis", interpolation="nearest")
     axis.set_title("share of unknowns determined", fontsize=9)
     axis.set_axis_off()
     figure.colorbar(drawn)
@@ -167,15 +175,33 @@ def directions_picture(btf: Btf, path: Path) -> Path:
     return save_figure(figure, path)
 
 
+def mask_picture(btf: Btf, path: Path) -> Path | None:
+    """Draw the brightest of some images with the outline of the object mask, what is outside dimmed; None without a mask."""
+    if btf.mask is None:
+        return None
+    whole, rows = btf.unmasked(), torch.linspace(0, len(btf) - 1, min(len(btf), _MASK_SAMPLES)).round().long().unique()
+    brightest = whole.images(rows).amax(dim=0)
+    bright = brightest[:, btf.mask].flatten().sort().values
+    shown = _shown(brightest / bright[int(0.99 * (len(bright) - 1))].clamp(min=1e-6))
+    shown = np.where(btf.mask.numpy()[:, :, None], shown, 0.35 * shown + 0.3 * np.array([1.0, 0.2, 0.2]))
+    figure, axis = plotting().subplots(figsize=(5, 5))
+    axis.imshow(shown, interpolation="nearest")
+    axis.contour(btf.mask.numpy(), levels=[0.5], colors="tab:red", linewidths=0.8)
+    axis.set_title(f"object ({100 * btf.object_share:.1f} % of the texels) by {Path(btf.source.mask).name}", fontsize=9)
+    axis.set_axis_off()
+    return save_figure(figure, path)
+
+
 def write_pictures(btf: Btf, result: FitResult, folder: Path) -> list[Path]:
     """Write all pictures of a fit into `folder`; return their paths."""
     written = [
         comparison_picture(btf, result, folder / "comparison.png"),
         angle_picture(result, folder / "error_by_angle.png"),
         sphere_picture(result, folder / "sphere.png"),
-        coverage_picture(result, folder / "coverage.png"),
+        coverage_picture(result, folder / "coverage.png", btf.mask),
         history_picture(result, folder / "error_by_seconds.png"),
         directions_picture(btf, folder / "directions.png"),
+        mask_picture(btf, folder / "object_mask.png"),
     ]
     if result.material.has_relief:
         written += [relief_picture(_relief_of(result), folder / "relief.png"), oblique_picture(btf, result, folder / "oblique.png")]

@@ -60,6 +60,11 @@ def _plain(value: Any) -> Any:
     return value
 
 
+def object_text(mask: str, share: float) -> str:
+    """Return what an object mask says, in words."""
+    return f"{100 * share:.1f} % of the texels, by {mask}; the others count nowhere"
+
+
 def to_json(value: Any) -> str:
     """Return indented JSON; what is not finite becomes null."""
     return json.dumps(_plain(value), indent=1, ensure_ascii=False, allow_nan=False)

@@ -85,7 +85,7 @@ class Climb:
                 if own is not None:
                     found = own(surface, height, **rung.settings)
                     assert found is not None  # rungs are what it takes
-                    fitted = found
+                    fitted = found.settled(surface.training.btf.mask)
                 else:
                     if bare is None:
                         shadowed = ambient(surface)

@@ -15,6 +15,7 @@ import torch
 from torch import Tensor
 
 from torchmat.colour import display
+from torchmat.btf import Btf
 from torchmat.fitting.training import Training
 from torchmat.fitting.wanted import Target
 from torchmat.metrics import psnr, relative
@@ -87,7 +88,7 @@ class Examiner:
     def __init__(self, training: Training, rows: Tensor) -> None:
         self._btf, self._rows = training.btf, rows
         self.samples = len(rows)
-        self._texels = _some_texels(training.btf.height * training.btf.width, training.seed)
+        self._texels = _some_texels(training.btf, training.seed)
         self._whole: list[_Batch] | None = None
         self._part: list[_Batch] | None = None
         self._rays: list[tuple[Tensor, list[Rays]]] = []
@@ -172,13 +173,16 @@ def _texels_of(material: Material, texels: Tensor) -> Material:
     return material.sharing(maps)
 
 
-def _some_texels(texels: int, seed: int) -> Tensor | None:
+def _some_texels(btf: Btf, seed: int) -> Tensor | None:
+    """Return the numbers of some texels of the object, evenly chosen; None where all are to be looked at."""
+    inside = btf.inside
+    texels = len(inside)
     if texels <= 2 * _TEXELS:
-        return None
+        return None if btf.mask is None else inside
     generator = torch.Generator().manual_seed(seed)
     ends = torch.linspace(0, texels, _TEXELS + 1).long()
     place = torch.rand(_TEXELS, generator=generator, dtype=torch.float64)
-    return ends[:-1] + (place * (ends[1:] - ends[:-1])).long()
+    return inside[ends[:-1] + (place * (ends[1:] - ends[:-1])).long()]
 
 
 def _chosen(planes: Tensor, texels: Tensor) -> Tensor:
@@ -195,4 +199,5 @@ def of_some_texels(training: Training) -> Training | None:
     if texels <= 2 * _TEXELS:
         return None
     step = round(math.sqrt(texels / _FEW)) | 1
-    return replace(training, btf=btf.window(0, 0, btf.height, btf.width, step))
+    few = btf.window(0, 0, btf.height, btf.width, step)
+    return None if few.mask is not None and not bool(few.mask.any()) else replace(training, btf=few)

@@ -94,7 +94,7 @@ class PartsClimb:
         assert self.recipe.on_relief is not None
         found = self.recipe.on_relief(self.surface, self.height, **rung.settings)
         assert found is not None  # what is built part by part takes no other way
-        return found
+        return found.settled(self.surface.training.btf.mask)
 
     def _too_large(self, part: Part) -> bool:
         material = self.best.fitted.material

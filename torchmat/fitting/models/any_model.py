@@ -45,7 +45,7 @@ def descend(training: Training, begun: Fitted, solver: Stepping, objective: str 
     material = begun.material
     with one_thread():
         shared = [spec.name for spec in material.own_specs() if spec.constant or not spec.per_texel]
-        unknowns = Unbounded(material.own_specs(), material.maps, shared if training.shared is not None else ())
+        unknowns = Unbounded(material.own_specs(), material.maps, shared if training.shared is not None else (), training.btf.mask)
 
 
         def made() -> Material:

@@ -155,7 +155,8 @@ def _mean_value(training: Training) -> float:
     for block in training.btf.blocks(None, training.dtype):
         total += block.images.mean(dim=1).sum(dim=0)
     with one_thread():
-        return max(float(total.mean()) / len(training.btf), 1e-30)
+        inside = total if training.btf.mask is None else total[training.btf.mask]
+        return max(float(inside.mean()) / len(training.btf), 1e-30)
 
 
 def _two_non_negative(aa: Tensor, ab: Tensor, bb: Tensor, ay: Tensor, by: Tensor) -> tuple[Tensor, Tensor]:

@@ -94,8 +94,8 @@ class _Fit:
         self.training, self.storage = training, storage
         self.options = {"latent": latent, "hidden": hidden, "layers": layers}
         generator = torch.Generator().manual_seed(training.seed)
-        texels = btf.height * btf.width
-        self.order = torch.randperm(texels, generator=generator)
+        texels = len(btf.inside)
+        self.order = btf.inside[torch.randperm(texels, generator=generator)]
         size = min(texels, max(FEWEST_TEXELS, math.ceil(texels / _MOST_GROUPS)))
         self.groups = [slice(first, min(first + size, texels)) for first in range(0, texels, size)]
         self.batch = solver.batch or max(1, _PAIRS // size)
@@ -201,7 +201,7 @@ class _Fit:
     def _material(self) -> Neural:
         btf = self.training.btf
         dealt = torch.cat([value.detach() for value in self.latents], dim=1)
-        latent = torch.empty_like(dealt)
+        latent = dealt.new_zeros(len(dealt), btf.height * btf.width)
         latent[:, self.order] = dealt
         maps = {"latent": latent.unflatten(1, (btf.height, btf.width))}
         for number, table in enumerate(self.tables):

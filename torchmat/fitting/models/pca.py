@@ -40,7 +40,7 @@ class _Images:
         self._root = None if counts is None else counts.clamp(min=_LEAST_COUNT).sqrt().to(training.dtype)
         btf = training.btf
         self.texels = btf.height * btf.width
-        self._mean = self._texel_mean() if btf.invalid_share > 0 or btf.clipped_share > 0 else None
+        self._mean = self._texel_mean() if btf.mask is not None or btf.invalid_share > 0 or btf.clipped_share > 0 else None
         small = keep and len(self.rows) * 3 * self.texels <= _KEEP_VALUES
         self._kept = [(s, images.clone()) for s, images in self._read()] if small else None
 
@@ -222,7 +222,9 @@ def fit_local_pca(
     found, rest = _range_finder(times, transposed, 3 * count, rank, generator, training.dtype)
     left, singular, right = _thin_svd(rest)
     points = (product(found, left) * singular).double()
-    label, means, bases = _cluster(points, clusters, components, generator)
+    known = training.btf.inside
+    label = torch.zeros(images.texels, dtype=torch.long)  # off the object all texels are 0, and would be a cluster
+    label[known], means, bases = _cluster(points[known], clusters, components, generator)
     weight = torch.zeros(components, images.texels, dtype=torch.float64)
     for number in range(clusters):
         inside = label == number

@@ -78,7 +78,7 @@ def fit_phong_srf(
 
 def _common_means(training: Training, moments: Moments) -> tuple[Tensor, int]:
     """Return the mean colours [n, 3] over the texels that share the material's lobe, and how many others there are."""
-    common = _common_texels(moments)
+    common = _common_texels(moments, training.btf.mask)
     if bool(common.all()):
         return moments.means, 0
     return stream_means(training.btf, training.used, common, training.dtype), int((~common).sum())
@@ -141,11 +141,12 @@ def _check_options(residual: str, phong: str, base: str, ridge: float) -> None:
         raise RangeError(message("fit phong_srf", "ridge", "be at least 0 and finite", f"it is {ridge}"))
 
 
-def _common_texels(moments: Moments) -> Tensor:
+def _common_texels(moments: Moments, mask: Tensor | None) -> Tensor:
     """Return which texels share the material's lobe, bool [H, W]: all, or all but a few far brighter ones."""
     size = moments.product.abs().amax(dim=(0, 1))
-    bound = size.flatten().kthvalue(size.numel() - size.numel() // _TRIMMED).values
-    return size <= _OUTLYING * size[size <= bound].double().mean()
+    known = size.flatten() if mask is None else size[mask]
+    bound = known.kthvalue(known.numel() - known.numel() // _TRIMMED).values
+    return size <= _OUTLYING * known[known <= bound].double().mean()
 
 
 def _relative_error(training: Training, means: Tensor, lobe: Lobe, parameters: Tensor) -> float | None:

@@ -136,7 +136,8 @@ def _resample(training: Training, means: Tensor, count: int, azimuths: int) -> t
     rows = rows[btf.view_index[rows] == nearest]
     found = brackets(means[rows], count)
     chosen, places = torch.cat((found.lower.clamp(min=0), found.upper)).unique(return_inverse=True)
-    masked = int((btf.weights(rows[chosen]) == 0).sum())
+    missing = btf.weights(rows[chosen]) == 0
+    masked = int((missing if btf.mask is None else missing[:, :, btf.mask]).sum())
     if masked:
         step = "Use joint=true, which takes every texel's own samples."
         fact = f"{masked} are masked"
@@ -247,8 +248,8 @@ def _curves(training: Training, rows: Tensor, means: Tensor) -> Tensor:
     Where a sample has little weight the image's mean stands in.
     """
     btf = training.btf
-    texels = btf.height * btf.width
-    chosen = torch.linspace(0, texels - 1, min(texels, _TEXELS)).long()
+    texels, inside = btf.height * btf.width, btf.inside
+    chosen = inside[torch.linspace(0, len(inside) - 1, min(len(inside), _TEXELS)).long()]
     parts = []
     for part in rows.split(max(1, _VALUES // (3 * texels))):
         values = btf.images(part, training.dtype).flatten(2)[:, :, chosen].double()

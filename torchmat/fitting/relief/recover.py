@@ -43,6 +43,7 @@ _SHARE = 0.5  # of a limit of seconds: the rest is for what is fitted on the rel
 _SLOPE_ERROR, _SLOPE_SHARE = 0.05, 0.15
 # What a low rank leaves over is no noise: neighbours in angle and space share it. It counts like 3 independent in 1000.
 _INDEPENDENT = 0.003
+_KNOWN = 0.5  # of a coarse texel's area
 _FINE = 4.0  # coarse texels: what is finer is the slopes' alone
 
 
@@ -96,17 +97,19 @@ def recover_relief(training: Training) -> Recovery:
     size = captured.images.shape[-2:]
     slopes, confidence = slopes_from_normals(found.normal), found.confidence
     assert confidence is not None  # photometric stereo gives it
-    coarse = _Slopes(_shrink(slopes, size), _shrink(confidence, size), training.tiles)
+    mask = training.btf.mask
+    coarse = _Slopes(_shrink(slopes, size), _shrink(confidence, size), training.tiles, _shrunk_mask(mask, size))
     start = _shrink(found.height, size).float()  # views are compared in single precision, whatever the fit runs in
+    start = start - (start if coarse.mask is None else start[:, coarse.mask]).mean()
     captured, flat = _in_time(captured, start, training.watch, until)
-    scale, offset, best = _search(captured, start - start.mean(), flat, training.progress, training.watch, until)
+    scale, offset, best = _search(captured, start, flat, training.progress, training.watch, until)
     level = Recovery(
         _flattened(found), "photometric stereo and views", 0.0, 0.0, "agreement of the views",
         BUDGET if training.watch.seconds >= until else CONVERGED, flat, flat, len(captured.images),
     )
     if scale == 0 or best > _GAIN * flat:
         return level
-    height = scale * (start - start.mean()) + offset
+    height = scale * start + offset
     for _ in progress(range(_REFINEMENTS), "refining the height", show=training.progress):
         if training.watch.seconds >= until:
             level = replace(level, stop_reason=BUDGET)
@@ -117,7 +120,7 @@ def recover_relief(training: Training) -> Recovery:
     if reached > _GAIN * flat:
         return level
     if tuple(size) != tuple(found.height.shape[-2:]):
-        height = _sharpened(height, _Slopes(slopes, confidence, training.tiles))
+        height = _sharpened(height, _Slopes(slopes, confidence, training.tiles, mask))
     relief = found._replace(height=height.to(found.height.dtype))
     return replace(level, relief=relief, scale=scale, offset=offset, disagreement=reached)
 
@@ -165,8 +168,15 @@ def _stereo(training: Training) -> Relief:
     some = max(1, _STEREO_VALUES // (3 * len(rows) * btf.width))
     with one_thread():
         bands = [btf.window(top, 0, min(some, btf.height - top), btf.width) for top in range(0, btf.height, some)]
-        found = [photometric_stereo(band.images(rows, training.dtype), light, band.weights(rows)) for band in bands]
-        return relief_from_stereo(Stereo(*(torch.cat(maps, dim=1) for maps in zip(*found, strict=True))), training.tiles)
+        found = [_stereo_of(band, rows, light) for band in bands]
+        stereo = Stereo(*(torch.cat(maps, dim=1) for maps in zip(*found, strict=True)))
+        return relief_from_stereo(stereo, training.tiles, mask=btf.mask)
+
+
+def _stereo_of(band: Btf, rows: Tensor, light: Tensor) -> Stereo:
+    """Return what some rows of texels show; where none of them shows the object their weights alone say so."""
+    mask = band.mask if band.mask is not None and bool(band.mask.any()) else None
+    return photometric_stereo(band.images(rows, light.dtype), light, band.weights(rows), mask)
 
 
 def _has_parallax(training: Training) -> bool:
@@ -184,6 +194,15 @@ def _flattened(found: Relief) -> Relief:
 
 def _shrink(maps: Tensor, size: Sequence[int]) -> Tensor:
     return functional.adaptive_avg_pool2d(maps, (size[0], size[1]))
+
+
+def _shrunk_mask(mask: Tensor | None, size: Sequence[int]) -> Tensor | None:
+    """Return a mask in `size`: where most of a texel shows the object, or any of it does if none is mostly object."""
+    if mask is None:
+        return None
+    share = _shrink(mask[None].float(), size)[0]
+    found = share >= _KNOWN if bool((share >= _KNOWN).any()) else share > 0
+    return None if bool(found.all()) else found
 
 
 def _search(
@@ -233,11 +252,12 @@ def _lowest(error: Callable[[float], float], at: list[float]) -> tuple[float, fl
 
 
 class _Slopes(NamedTuple):
-    """Slopes [2, H, W] and their confidence [1, H, W]."""
+    """Slopes [2, H, W] and their confidence [1, H, W], of an object inside `mask`, bool [H, W]."""
 
     slopes: Tensor
     confidence: Tensor
     tiles: bool
+    mask: Tensor | None = None
 
     @property
     def trust(self) -> Tensor:
@@ -256,7 +276,7 @@ def _refined(captured: Captured, height: Tensor, slopes: _Slopes) -> Tensor:
     change = change - product(found.subspace, product(found.subspace.T, change))
     known, step = _normal_equations(found, change, height.shape[-2:])
     with one_thread():
-        return poisson(slopes.slopes, slopes.trust, slopes.tiles, limited(height, step), known).to(height.dtype)
+        return poisson(slopes.slopes, slopes.trust, slopes.tiles, limited(height, step), known, slopes.mask).to(height.dtype)
 
 
 def _normal_equations(found: Agreement, change: Tensor, size: Sequence[int]) -> tuple[Tensor, Tensor]:
@@ -285,4 +305,4 @@ def _sharpened(coarse: Tensor, fine: _Slopes) -> Tensor:
     frequency = 2 * math.pi * coarse.shape[-1] / _FINE
     with one_thread():
         weight = torch.full_like(anchor, float(fine.trust.mean()) * frequency**2)
-        return poisson(fine.slopes, fine.trust, fine.tiles, anchor, weight)
+        return poisson(fine.slopes, fine.trust, fine.tiles, anchor, weight, fine.mask)

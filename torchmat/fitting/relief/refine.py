@@ -71,4 +71,4 @@ def refine_height(
         step = pull / curvature.clamp(min=1e-6 * float(curvature.mean()) + 1e-30)
         spread = _SLOPE_ERROR + _SLOPE_SHARE * slopes.square().sum(dim=0, keepdim=True).sqrt()
         known = curvature.clamp(min=1e-30) * (_INDEPENDENT / variance)
-        return poisson(slopes, 1 / spread**2, tiles, limited(height, step), known).to(dtype)
+        return poisson(slopes, 1 / spread**2, tiles, limited(height, step), known, btf.mask).to(dtype)

@@ -128,6 +128,7 @@ def _resample(
     across, up = (float(height.abs().max() * part.abs().max()) for part in slope.unbind(1))
     around = surroundings(btf, window, (up * btf.height, across * btf.width), training.tiles)
     centres, raised = window.crop(texel_centres(btf.height, btf.width, dtype)), window.crop(height)
+    outside = torch.zeros(()).bool() if btf.mask is None else ~window.crop(btf.mask)
     parts = torch.arange(len(rows)).split(max(1, BLOCK // (3 * math.prod(around.size))))
     for part in progress(parts, "onto the surface", show=training.progress):
         which = btf.view_index[rows[part]]
@@ -137,7 +138,7 @@ def _resample(
         # Bicubic: what is interpolated here is interpolated again when the surface is seen, and blur adds up.
         image = look_up(around.images(rows[part], dtype) * valid, position, training.tiles, "bicubic")
         pixels[first:last] = image.clamp(min=0).numpy()
-        hidden = ~seen[which] | (look_up((~valid).to(dtype), position, training.tiles) > 0)
+        hidden = ~seen[which] | (look_up((~valid).to(dtype), position, training.tiles) > 0) | outside
         clipped = look_up(around.clipped(rows[part]).to(dtype), position, training.tiles) > 0
         flags[first:last] = torch.where(hidden, INVALID, torch.where(clipped, CLIPPED, 0))[:, 0].numpy()
 
@@ -146,7 +147,7 @@ def _on_surface(training: Training, pixels: np.ndarray, flags: np.ndarray, rows:
     source = training.btf
     decoder = Decoder(pixels.dtype, "linear", 1.0)
     light, view = source.light[rows], source.view[rows]
-    btf = Btf(summarise(pixels, flags), light, view, decoder, source.source, source.clipped_weight)
+    btf = Btf(summarise(pixels, flags), light, view, decoder, source.source, source.clipped_weight, mask=source.mask)
     importance = None if training.importance is None else training.importance[rows]
     return replace(training, btf=btf, used=torch.ones(len(btf), dtype=torch.bool), importance=importance)
 
@@ -197,5 +198,5 @@ def without_shadow(surface: Surface, ambient: Tensor) -> Training:
         flags[rows] = np.where((lit[:, 0] < _LIT).numpy(), INVALID, surface.flags[rows])
     store = summarise(pixels, flags)
     decoder = Decoder(pixels.dtype, "linear", 1.0)
-    bare = Btf(store, btf.light, btf.view, decoder, btf.source, btf.clipped_weight)
+    bare = Btf(store, btf.light, btf.view, decoder, btf.source, btf.clipped_weight, mask=btf.mask)
     return replace(surface.training, btf=bare)

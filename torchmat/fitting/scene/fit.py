@@ -19,6 +19,7 @@ from torchmat.fitting.recipes import AUTO
 from torchmat.fitting.scene.share import SceneShare
 from torchmat.fitting.training import Fitted, Training
 from torchmat.models.cutout import Cutout
+from torchmat.models.masked import cut_out
 from torchmat.scene_use import SceneUse
 
 # Of the use: from 99.9 to 90 % the error inside of a scene is the same to a hundredth, and the time falls by half.
@@ -66,6 +67,7 @@ def fit_for_scene(
     share = len(choice.rows) / max(1, int(training.used.sum()))
     recovered_from = _for_recovery(training, choice) if isinstance(geometry, Recover) else None
     fitted = fit_with_geometry(part, config.model, _lighter(options, share), geometry, recovered_from)
+    fitted = replace(fitted, material=cut_out(fitted.material, part.btf.mask))
     btf, size = training.btf, (part.btf.height, part.btf.width)
     cutout = Cutout(*(choice.window or (0, 0, btf.height, btf.width)), btf.height, btf.width, training.tiles)
     if choice.window is not None or choice.level:

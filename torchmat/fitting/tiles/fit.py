@@ -82,7 +82,7 @@ def fit_tiled(
         plan = plan_tiles(training, model, options, geometry, tile_size, memory_mb)
         if folder is not None:
             folder.save_plan(plan)
-    return join_tiles(plan, _parts(training, plan, folder))
+    return join_tiles(plan, _parts(training, plan, folder)).settled(training.btf.mask)
 
 
 def _parts(training: Training, plan: TilePlan, folder: Work | None) -> Iterator[TilePart]:

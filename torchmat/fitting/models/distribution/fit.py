@@ -16,7 +16,7 @@ from torch import Tensor
 
 from torchmat.fitting.models.distribution.options import DistributionOptions
 from torchmat.fitting.models.distribution.parameters import (
-    BLOCK_VALUES, DistributionShared, Parts, group_texels, maps_of, rates_of, raw_maps, to_one,
+    BLOCK_VALUES, DistributionShared, Parts, group_texels, inside_of, maps_of, rates_of, raw_maps, to_one,
 )
 from torchmat.fitting.models.distribution.start import find_starts
 from torchmat.fitting.objective import DISPLAY, DISPLAY_POWER, Objective, Residual, mean_value, power, shown
@@ -188,7 +188,7 @@ class _Fit:
         known = training.shared_as(DistributionShared)
         if known is not None:
             return known
-        groups = None if parts.lobes < 2 else group_texels(starts["features"], parts.lobes, training.seed)
+        groups = None if parts.lobes < 2 else group_texels(inside_of(starts["features"], training.btf.mask), parts.lobes, training.seed)
         return DistributionShared(level=self.level, log_specular=raw.get("specular"), logit_tilt=raw.get("tilt"), groups=groups)
 
     def _choose(self, starts: dict[str, Tensor]) -> tuple[Parts, list[dict[str, Any]]]:
@@ -314,7 +314,7 @@ class _Fit:
         maps = maps_of(raw | self.known)
         ambient = maps.pop("ambient")
         if self.surface.training.shared is None:  # else other texels share the maps, and say what is the most
-            maps |= to_one(maps)
+            maps |= to_one(maps, self.surface.training.btf.mask)
         if self.height is not None:
             maps |= {"height": self.height, "ambient": ambient}
             if parts.normal:

@@ -83,8 +83,9 @@ def raw_maps(starts: dict[str, Tensor], parts: Parts, size: int, training: Train
     axis = (torch.arange(size, dtype=dtype) + 0.5) / size * 2 - 1
     distance = axis[:, None] ** 2 + axis[None, :] ** 2
     noise = torch.randn(3 * parts.lobes, 1, 1, generator=generator, dtype=torch.float64).to(dtype)
+    inside = inside_of(mean, training.btf.mask)
     with one_thread():
-        brightness = float(mean.clamp(max=OUTSTANDING * float(mean.median())).mean())
+        brightness = float(inside.clamp(max=OUTSTANDING * float(inside.median())).mean())
     raw = {
         "diffuse": mean.log(),
         "ambient": (0.05 * mean).log(),
@@ -101,22 +102,30 @@ def raw_maps(starts: dict[str, Tensor], parts: Parts, size: int, training: Train
         known = training.shared_as(DistributionShared)
         groups = None if known is None else known.groups
         if groups is None:
-            groups = group_texels(starts["features"], parts.lobes, training.seed)
+            groups = group_texels(inside_of(starts["features"], training.btf.mask), parts.lobes, training.seed)
         raw["index"] = _start_index(starts["features"], parts.lobes, groups)
     return raw
 
 
-def to_one(maps: dict[str, Tensor]) -> dict[str, Tensor]:
-    """Return mask and specular maps of the same products, with a mask whose largest value is 1; nothing without a mask."""
+def inside_of(maps: Tensor, mask: Tensor | None) -> Tensor:
+    """Return maps [C, H, W] of an object's texels alone, [C, t, 1]; all of them without a mask."""
+    return maps if mask is None or not bool(mask.any()) else maps[:, mask][:, :, None]
+
+
+def to_one(maps: dict[str, Tensor], inside: Tensor | None = None) -> dict[str, Tensor]:
+    """Return mask and specular maps of the same products, with a mask whose largest value is 1; nothing without a mask.
+
+    The largest is that of the texels `inside` an object, bool [H, W], None for all.
+    """
     if "specular_mask" not in maps:
         return {}
     mask = maps["specular_mask"]
-    most = mask.max().clamp(min=torch.finfo(mask.dtype).tiny)
+    most = inside_of(mask, inside).max().clamp(min=torch.finfo(mask.dtype).tiny)
     return {"specular_mask": mask / most, "specular": maps["specular"] * most}
 
 
 def group_texels(features: Tensor, lobes: int, seed: int) -> Tensor:
-    """Return what groups the texels by their features [C, H, W]: rows mean, spread, and a centre a group, [2 + k, C].
+    """Return what groups texels by their features [C, ...]: rows mean, spread, and a centre a group, [2 + k, C].
 
     Centres are those of k-means over the features less their mean, by their spread; at most `lobes`, float64.
     """
