@@ -72,3 +72,30 @@ def test_idle_threads_of_a_command_give_way_unless_the_user_says_how_they_wait(g
     clean = {name: value for name, value in os.environ.items() if name not in ("GOMP_SPINCOUNT", "OMP_WAIT_POLICY")}
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env={**clean, **given})
     assert done.stdout.split()[-1] == spins
+
+
+def _help(code: str, columns: int) -> tuple[str, str]:
+    """Return the help that a fresh process prints in so many columns, and what it prints last."""
+    usual = {**os.environ, "COLUMNS": str(columns), "PYTHONIOENCODING": "utf-8"}
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, encoding="utf-8", env=usual)
+    text, _, last = done.stdout.rpartition("last:")
+    return text, last.strip()
+
+
+def test_the_help_that_is_kept_is_what_the_commands_say_of_themselves():
+    made, _ = _help("from torchmat.cli.run import read_arguments\ntry: read_arguments(['--help'], None)\nfinally: print('last:')", 80)
+    kept, loaded = _help("import sys; from torchmat.cli import main; main(['--help']); print('last:', 'tyro' in sys.modules)", 80)
+    assert kept == made, "run: COLUMNS=80 PYTHONIOENCODING=utf-8 python -c \"from torchmat.cli.run import read_arguments; " \
+        "read_arguments(['--help'], None)\" > torchmat/cli/help.txt"
+    assert loaded == "False" and made.startswith("usage: torchmat")
+
+
+def test_a_narrow_terminal_has_a_help_of_its_own():
+    text, _ = _help("from torchmat.cli import main\ntry: main(['--help'])\nfinally: print('last:')", 50)
+    assert max(len(line) for line in text.splitlines()[3:]) == 50
+
+
+def test_the_script_that_completes_names_knows_commands_and_options():
+    done = subprocess.run([sys.executable, "-m", "torchmat.cli", "--tyro-print-completion", "bash"], capture_output=True, encoding="utf-8")
+    assert done.returncode == 0 and "complete -F _tyro_torchmat torchmat" in done.stdout
+    assert all(name in done.stdout for name in ("fit-many", "--no-pictures", "--height-scale"))
