@@ -10,6 +10,7 @@ import shutil
 import sys
 
 from torchmat.cli.threads import let_threads_sleep
+from torchmat.progress import announced
 
 HELP = os.path.join(os.path.dirname(__file__), "help.txt")  # a test holds it to what the commands say of themselves
 WIDTH = 80  # of the lines there
@@ -32,10 +33,11 @@ def main(arguments: list[str] | None = None, command: str | None = None) -> int:
             print(file.read(), end="")
         return 0
     if os.environ.get("NO_COLOR"):  # which tyro does not look at
-        os.environ.setdefault("PYTHON_TYRO_ANSI_CODES", "0")
-    from torchmat.cli.run import run
+        os.environ.setdefault("PYTHON_TYRO_ANSI_CODES", "False")
+    with announced(f"{command or (given or [''])[0]}: starting"):
+        from torchmat.cli.run import run
 
-    return run(given, command)
+        return run(given, command)
 
 
 def _shows_help() -> bool:

@@ -8,6 +8,8 @@ from typing import Annotated, ClassVar
 
 import tyro
 
+from torchmat.progress import phase
+
 
 @dataclass
 class Create:
@@ -75,7 +77,9 @@ class Create:
         material = self._make()
 
         def draw(building: Path) -> None:
-            if not self.no_pictures:
+            if self.no_pictures:
+                return
+            with phase("drawing the maps"):
                 maps_picture(material, building / "maps.png")
                 hemisphere_picture(material, building / "hemisphere.png")
 
@@ -97,10 +101,13 @@ class Create:
         from torchmat.fitting.models.spheres.to_brdf import fit_sphere_images
         from torchmat.models import SphereImages
 
-        brdf = load_brdf(self.path)
+        with phase(f"reading {Path(self.path).name}"):
+            brdf = load_brdf(self.path)
         if self.paper:
-            return SphereImages.from_brdf(brdf, self.angles_deg, self.picture_size, storage=self.storage or "half")
-        fitted = fit_sphere_images(brdf, self.angles_deg, self.picture_size, storage=self.storage or "half")
+            with phase("rendering the pictures"):
+                return SphereImages.from_brdf(brdf, self.angles_deg, self.picture_size, storage=self.storage or "half")
+        with phase("fitting sphere pictures"):
+            fitted = fit_sphere_images(brdf, self.angles_deg, self.picture_size, storage=self.storage or "half")
         print("; ".join(f"{key}: {value}" for key, value in fitted.figures.items()))
         return fitted.material
 
@@ -109,7 +116,8 @@ class Create:
         from torchmat.create.from_sphere import sphere_images_from_photographs
 
         assert self.circle is not None
-        photographs = read_photographs(self.path, self.encoding)
+        with phase(f"reading {Path(self.path).name}"):
+            photographs = read_photographs(self.path, self.encoding)
         return sphere_images_from_photographs(
             photographs, self.angles_deg, self.circle[:2], self.circle[2], size=self.picture_size,
             azimuths_deg=self.azimuths_deg, exposure=self.exposure, storage=self.storage or "half",
@@ -121,10 +129,11 @@ class Create:
 
         found = find_textures(self.path)
         print("\n".join([f"{kind:16s} {file}" for kind, file in found.rows()] + found.notes()))
-        return material_from_textures(
-            self.path, lobes=self.lobes, height_scale=self.height_scale, occlusion=self.occlusion,
-            storage=self.storage or "paint8", say=print,
-        )
+        with phase("making the maps"):
+            return material_from_textures(
+                self.path, lobes=self.lobes, height_scale=self.height_scale, occlusion=self.occlusion,
+                storage=self.storage or "paint8", say=print,
+            )
 
     def _from_picture(self):
         from torchmat.btf.decode import ENCODINGS
@@ -134,10 +143,13 @@ class Create:
 
         check_option("create", "encoding", self.encoding, ENCODINGS)
         scale = {} if self.height_scale is None else {"height_scale": self.height_scale}
-        return material_from_picture(
-            read_linear(self.path, self.encoding), lobes=len(self.specular), specular=self.specular,
-            mask_brightness=self.mask[0], mask_contrast=self.mask[1], fresnel_brightness=self.fresnel[0],
-            fresnel_contrast=self.fresnel[1], darken=self.darken, softness=self.softness,
-            rotation_centres=self.centre, tilt=self.tilt, tiles=self.tiles, storage=self.storage or "paint8",
-            seed=self.seed, **scale,
-        )
+        with phase(f"reading {Path(self.path).name}"):
+            picture = read_linear(self.path, self.encoding)
+        with phase("making the maps"):
+            return material_from_picture(
+                picture, lobes=len(self.specular), specular=self.specular,
+                mask_brightness=self.mask[0], mask_contrast=self.mask[1], fresnel_brightness=self.fresnel[0],
+                fresnel_contrast=self.fresnel[1], darken=self.darken, softness=self.softness,
+                rotation_centres=self.centre, tilt=self.tilt, tiles=self.tiles, storage=self.storage or "paint8",
+                seed=self.seed, **scale,
+            )

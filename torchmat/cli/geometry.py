@@ -9,6 +9,7 @@ from typing import Annotated, ClassVar
 import tyro
 
 from torchmat.cli.arguments import DataArguments
+from torchmat.progress import phase
 
 
 @dataclass
@@ -44,7 +45,8 @@ class Geometry:
         relief, described = self._recover()
 
         def draw(building: Path) -> None:
-            relief_picture(relief, building / "relief.png")
+            with phase("drawing pictures"):
+                relief_picture(relief, building / "relief.png")
             if self.read.ball is not None and self.read.circle is not None:
                 ball_picture(self.read.ball, self.read.circle, building / "ball.png")
 
@@ -60,13 +62,15 @@ class Geometry:
         from torchmat.geometry import relief_from_picture
 
         if Path(self.path).is_file() and is_image(self.path):
-            picture = colour.display(read_linear(self.path, self.read.encoding or "auto"))
+            with phase(f"reading {Path(self.path).name}"):
+                picture = colour.display(read_linear(self.path, self.read.encoding or "auto"))
             return relief_from_picture(picture, self.height_scale, self.normal_strength, self.tiles), {}
         btf = self.read.load(self.path)
         if len(btf.views) > 1:
             from torchmat.fitting import recover_geometry
 
-            found = recover_geometry(btf, tiles=self.tiles)
+            with phase("recovering the relief"):
+                found = recover_geometry(btf, tiles=self.tiles)
             print("; ".join(f"{key}: {value}" for key, value in found.figures().items()))
             return found.relief, {}
         return self._of_one_view(btf)
@@ -81,15 +85,18 @@ class Geometry:
         lit = btf if len(rows) == len(btf) else btf.picked(rows)
         figures = lambert_of(lit)
         if figures and lit.intensity is None and self.read.intensities is None:
-            estimated = with_estimated_intensities(lit, only_if_better=True)
+            with phase("estimating the intensities of the lights"):
+                estimated = with_estimated_intensities(lit, only_if_better=True)
             print(f"note       {estimated.source.notes[-1]}")
             after = None if estimated.intensity is None else lambert_of(estimated)
             if after:
                 figures, lit = figures.with_intensities(after), estimated
         for line in lambert_text(figures):
             print(line)
-        images, light, weight = lit.images(range(len(lit))), lit.light, lit.weights(range(len(lit)))
+        with phase("looking at the images"):
+            images, light, weight = lit.images(range(len(lit))), lit.light, lit.weights(range(len(lit)))
         described = {
             "notes": list(lit.source.notes), "lights": paired_lights(lit), "lambert": figures and figures.report(),
         }
-        return relief_from_photographs(images, light, weight, self.tiles, self.integration), described
+        with phase("recovering the relief"):
+            return relief_from_photographs(images, light, weight, self.tiles, self.integration), described

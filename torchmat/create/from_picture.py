@@ -14,6 +14,7 @@ from torchmat.errors import ShapeError, message
 from torchmat.geometry import relief_from_picture
 from torchmat.models.distribution import Distribution
 from torchmat.models.storage import StoredAs
+from torchmat.progress import phase
 
 _WHERE = "material_from_picture"
 
@@ -51,7 +52,8 @@ def material_from_picture(
         if fresnel_brightness is not None:
             maps["fresnel"] = brightness_contrast(grey, fresnel_brightness, fresnel_contrast)
     if lobes > 1:
-        maps["index"] = segments(picture, lobes, softness=softness, seed=seed)
+        with phase("finding colours"):
+            maps["index"] = segments(picture, lobes, softness=softness, seed=seed)
     if len(rotation_centres):
         maps["rotation"] = draw_360(size, rotation_centres)
     if tilt is not None:

@@ -18,6 +18,7 @@ from torchmat.geometry import normals_from_slopes, slopes_from_height, slopes_fr
 from torchmat.geometry.normals import check_height_scale
 from torchmat.models.distribution import Distribution
 from torchmat.models.storage import StoredAs
+from torchmat.progress import in_command, phase, progress
 
 _WHERE = "material_from_textures"
 DIELECTRIC = 0.04  # r0 of a refractive index of 1.5
@@ -58,7 +59,8 @@ def material_from_textures(
             step = "Add one whose name ends in _AmbientOcclusion, or leave the occlusion out."
             raise DataError(message(str(folder), "the folder", "hold an occlusion texture", "it holds none", step))
         maps["diffuse"] = maps["diffuse"] * textures["ambientocclusion"]
-    shape, stored = _shape(folder, textures, height_scale, tiles, say)
+    with phase("bringing height and normals together"):
+        shape, stored = _shape(folder, textures, height_scale, tiles, say)
     maps |= shape
     if "opacity" in textures:
         maps["opacity"] = textures["opacity"]
@@ -68,9 +70,11 @@ def material_from_textures(
         say(f"roughness: no file gives it; {_ROUGHNESS} is taken")
     if rough is None:
         return assemble(maps, 0, tiles, storage, stored)
-    levels, index = quantised(rough, lobes)
+    with phase("choosing roughnesses"):
+        levels, index = quantised(rough, lobes)
     maps |= _reflectance(colour, metal, textures.get("f0"))
-    maps["specular"] = torch.cat([ggx_lobe(float(level), size) for level in levels])
+    drawn = progress(levels, "computing specular maps", show=in_command())
+    maps["specular"] = torch.cat([ggx_lobe(float(level), size) for level in drawn])
     if len(levels) > 1:
         maps["index"] = index
     return assemble(maps, len(levels), tiles, storage, stored)

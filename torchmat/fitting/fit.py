@@ -35,6 +35,7 @@ from torchmat.fitting.wanted import make_target
 from torchmat.geometry import Relief
 from torchmat.machine import peak_memory_mb, versions
 from torchmat.models import Material
+from torchmat.progress import working
 from torchmat.scene_use import SceneUse, Usable, as_use
 from torchmat.solvers.clock import Watch
 
@@ -147,17 +148,20 @@ def fit(
     split = split_samples(btf, config.holdout, config.holdout_by, config.seed)
     watch = Watch(config.target.get("seconds", math.inf), _held_out_error(btf, split) if curve else None)
     training = make_training(btf, split.train, config.seed, config.tiles, dtype, progress, watch)
-    with torch.no_grad():
+    with torch.no_grad(), working(f"fitting {config.model if not isinstance(model, Material) else model.name}", progress):
         fitted = task.run(training)
         watch.note(lambda: fitted.material)
     seconds = watch.seconds
     errors, held_out = nothing_measured(), None
     if how != NONE:
-        errors, held_out = evaluate_parts(btf, fitted.material, split, progress, quick=how == QUICK)
+        with working("measuring", progress):
+            errors, held_out = evaluate_parts(btf, fitted.material, split, progress, quick=how == QUICK)
     used = task.options if fitted.options is None else fitted.options
     ways = {"options": described(used), "geometry": task.geometry}
     figures = None if how == NONE else lambert_of(btf)
-    report = {**_described(btf, config, fitted), **ways, "fit_seconds": seconds, **errors, "curve": watch.history}
+    with working("measuring the speed", progress):
+        described_fit = _described(btf, config, fitted)
+    report = {**described_fit, **ways, "fit_seconds": seconds, **errors, "curve": watch.history}
     report["lambert_residual"] = figures and figures.report()
     if task.scene is not None:
         report["scene"] = scene_figures(btf, fitted, split, task.scene, config.tiles, how != NONE, progress)

@@ -26,7 +26,7 @@ from torchmat.fitting.training import Training, make_training
 from torchmat.geometry import Relief, Stereo, photometric_stereo, poisson, slopes_from_normals
 from torchmat.geometry.normals import pad_border
 from torchmat.geometry.from_photographs import relief_from_stereo
-from torchmat.progress import progress
+from torchmat.progress import Activity, progress, whole
 from torchmat.repeatable import one_thread, product
 from torchmat.solvers.clock import Watch
 from torchmat.solvers.stop_reasons import BUDGET, CONVERGED
@@ -37,6 +37,7 @@ _FEWEST_VIEWS, _FEWEST_SAMPLES = 6, 24  # below, there is no parallax to speak o
 _WIDEST = 0.3  # and none if no view leans further than this (tangent of its polar angle)
 _GAIN = 0.98  # a relief must bring the disagreement of the images below this share of a flat surface's
 _REFINEMENTS = 4
+_SEARCHED = 35  # heights that the search looks at: 13, then by turns 6 and 5
 _COMPARISONS = 45  # of all images on a height, that is what search and refinement take
 _SHARE = 0.5  # of a limit of seconds: the rest is for what is fitted on the relief
 # A slope of photometric stereo is off by so much, and steep ones by so much of themselves.
@@ -99,7 +100,8 @@ def recover_relief(training: Training) -> Recovery:
     coarse = _Slopes(_shrink(slopes, size), _shrink(confidence, size), training.tiles)
     start = _shrink(found.height, size).float()  # views are compared in single precision, whatever the fit runs in
     captured, flat = _in_time(captured, start, training.watch, until)
-    scale, offset, best = _search(captured, start - start.mean(), flat, training.progress, training.watch, until)
+    with whole("finding scale and offset", _SEARCHED, show=training.progress) as bar:
+        scale, offset, best = _search(captured, start - start.mean(), flat, bar, training.watch, until)
     level = Recovery(
         _flattened(found), "photometric stereo and views", 0.0, 0.0, "agreement of the views",
         BUDGET if training.watch.seconds >= until else CONVERGED, flat, flat, len(captured.images),
@@ -187,7 +189,7 @@ def _shrink(maps: Tensor, size: Sequence[int]) -> Tensor:
 
 
 def _search(
-    captured: Captured, shape: Tensor, flat: float, show: bool | None, watch: Watch, until: float
+    captured: Captured, shape: Tensor, flat: float, bar: Activity, watch: Watch, until: float
 ) -> tuple[float, float, float]:
     """Return scale, offset and disagreement of the best height ``scale * shape + offset``.
 
@@ -200,11 +202,13 @@ def _search(
     def error(scale: float, offset: float) -> float:
         if watch.seconds >= until:
             raise _Spent
-        return agreement(captured, scale * shape + offset).error
+        found = agreement(captured, scale * shape + offset).error
+        bar.advance()
+        return found
 
     scale, offset, best = 0.0, 0.0, flat
     try:
-        for turn in progress(range(5), "finding scale and offset", show=show):
+        for turn in range(5):
             if turn == 0:
                 offset, best = _lowest(lambda x: error(1.0, x), [span * step / 4 for step in range(-6, 7)])
                 scale = 1.0
