@@ -126,6 +126,13 @@ class Render:
         usual = _FRONT if mesh in _SEEN_FROM_THE_FRONT else _THREE_QUARTER
         return usual if self.view is None else self.view
 
+    def _say_below(self) -> None:
+        """Say which lights lie below the patch, whose picture they leave black."""
+        below = [light for light in self.light if light[2] < 0]
+        if below:
+            count, first = f"{len(below)} of {len(self.light)} lights", " ".join(f"{number:g}" for number in below[0])
+            print(f"warning    {count} below the surface of the patch, first --light {first}")
+
     def _check(self, meshes) -> None:
         from torchmat.errors import RangeError, message
 
@@ -176,6 +183,7 @@ class Render:
         repeat = usual if self.repeat is None else self.repeat
         view, target = self._view(mesh), stem.with_suffix(".png")
         if mesh == PATCH:
+            self._say_below()
             picture = render(shader, PATCH, lights, view, self.size, repeat, shadows=self.shadows, rays=self.rays)
             return write_picture(picture, target, self.exposure, self.exr)
         body, camera = as_mesh(mesh), None

@@ -5,7 +5,6 @@ from __future__ import annotations
 import copy
 import dataclasses
 import math
-import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -17,9 +16,10 @@ from torchmat.fitting.data_settings import DATA_KEYS, check_data_settings
 from torchmat.fitting.geometry import check_word, is_path
 from torchmat.fitting.recipe import recipe_of
 from torchmat.fitting.recipes import AUTO, RECIPES, default_options, resolve_options
-from torchmat.fitting.wanted import make_target
+from torchmat.fitting.wanted import Target, make_target
+from torchmat.places import right_place
 from torchmat.shipped import find_file, shipped_names
-from torchmat.text_file import read_toml
+from torchmat.text_file import parse_value, read_toml
 
 
 @dataclass(frozen=True)
@@ -102,7 +102,8 @@ def make_config(table: dict[str, Any], where: str = "config") -> FitConfig:
 
     Every error begins with `where`, the file that the table comes from.
     """
-    check_known_keys(where, table, [f.name for f in dataclasses.fields(FitConfig)])
+    model = table.get("model", FitConfig.model)
+    check_known_keys(where, table, [f.name for f in dataclasses.fields(FitConfig)], lambda key: _place(key, model))
     given = _typed(where, table)
     try:
         return FitConfig(**given)
@@ -140,12 +141,12 @@ def is_config(name: object) -> bool:
     return isinstance(name, str) and (bool(Path(name).suffix) or len(Path(name).parts) > 1)
 
 
-def parse_value(text: str) -> Any:
-    """Return the TOML value that `text` stands for; what is not TOML counts as a plain string."""
-    try:
-        return tomllib.loads(f"v = {text.strip()}")["v"]
-    except (ValueError, RecursionError):
-        return text.strip()
+def _place(key: str, model: object) -> str:
+    """Return where a key belongs that stands beside the model, as `right_place` says it."""
+    options = {name: tuple(recipe.options) for name, recipe in RECIPES.items()}
+    fields = [field.name for field in dataclasses.fields(FitConfig)]
+    tables = {"target": [field.name for field in dataclasses.fields(Target)], "data": DATA_KEYS}
+    return right_place(key, str(model), options, fields, tables)
 
 
 def _override(table: dict[str, Any], text: str) -> None:
@@ -157,7 +158,7 @@ def _override(table: dict[str, Any], text: str) -> None:
     fields = [field.name for field in dataclasses.fields(FitConfig)]
     if not parents and key not in fields:
         options = default_options(table.get("model", FitConfig.model))
-        check_known_keys("--set", [key], (*fields, *options))
+        check_known_keys("--set", [key], (*fields, *options), lambda key: _place(key, table.get("model", FitConfig.model)))
         parents = ["options"]
     for parent in parents:
         table = table.setdefault(parent, {})
