@@ -122,7 +122,7 @@ def _help(code: str, columns: int) -> tuple[str, str]:
 
 def test_the_help_that_is_kept_is_what_the_commands_say_of_themselves():
     made, _ = _help("from torchmat.cli.run import read_arguments\ntry: read_arguments(['--help'], None)\nfinally: print('last:')", 80)
-    kept, loaded = _help("import sys; from torchmat.cli import main; main(['--help']); print('last:', 'tyro' in sys.modules)", 80)
+    kept, loaded = _help("import sys; from torchmat.cli import main\ntry: main(['--help'])\nfinally: print('last:', 'tyro' in sys.modules)", 80)
     assert kept == made, "run: COLUMNS=80 PYTHONIOENCODING=utf-8 python -c \"from torchmat.cli.run import read_arguments; " \
         "read_arguments(['--help'], None)\" > torchmat/cli/help.txt"
     assert loaded == "False" and made.startswith("usage: torchmat")

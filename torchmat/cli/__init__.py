@@ -31,7 +31,7 @@ def main(arguments: list[str] | None = None, command: str | None = None) -> int:
     if command is None and given in (["--help"], ["-h"]) and _shows_help():
         with open(HELP, encoding="utf-8") as file:
             print(file.read(), end="")
-        return 0
+        sys.exit(0)  # as the help of a command ends the program
     if os.environ.get("NO_COLOR"):  # which tyro does not look at
         os.environ.setdefault("PYTHON_TYRO_ANSI_CODES", "False")
     with announced(f"{command or (given or [''])[0]}: starting"):

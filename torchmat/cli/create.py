@@ -46,8 +46,8 @@ class Create:
     """Picture only: u and v (0 to 1, v up) about which the specular map turns; may be repeated."""
     tilt: str | None = None
     """Picture only: default, velvet, gentle or flat; or points DEGREES:TILT,... as 0:0,30:0.1,90:1."""
-    tiles: bool = False
-    """Picture only: it repeats; textures of a set always do."""
+    tiles: bool | None = None
+    """Picture or textures only: whether the surface repeats at its borders (default: as they say)."""
     encoding: str = "auto"
     """Picture only: auto, srgb, linear or xyz."""
     seed: int = 0
@@ -132,7 +132,7 @@ class Create:
         with phase("making the maps"):
             return material_from_textures(
                 self.path, lobes=self.lobes, height_scale=self.height_scale, occlusion=self.occlusion,
-                storage=self.storage or "paint8", say=print,
+                storage=self.storage or "paint8", say=print, tiles="auto" if self.tiles is None else self.tiles,
             )
 
     def _from_picture(self):
@@ -140,16 +140,22 @@ class Create:
         from torchmat.btf.photographs import read_linear
         from torchmat.create import material_from_picture
         from torchmat.errors import check_option
+        from torchmat.geometry.tiling import tiling_of
 
         check_option("create", "encoding", self.encoding, ENCODINGS)
         scale = {} if self.height_scale is None else {"height_scale": self.height_scale}
         with phase(f"reading {Path(self.path).name}"):
             picture = read_linear(self.path, self.encoding)
+        tiles = self.tiles
+        if tiles is None:
+            found = tiling_of(picture[None])
+            print(f"tiles      {found.sentence()}")
+            tiles = found.repeats
         with phase("making the maps"):
             return material_from_picture(
                 picture, lobes=len(self.specular), specular=self.specular,
                 mask_brightness=self.mask[0], mask_contrast=self.mask[1], fresnel_brightness=self.fresnel[0],
                 fresnel_contrast=self.fresnel[1], darken=self.darken, softness=self.softness,
-                rotation_centres=self.centre, tilt=self.tilt, tiles=self.tiles, storage=self.storage or "paint8",
+                rotation_centres=self.centre, tilt=self.tilt, tiles=tiles, storage=self.storage or "paint8",
                 seed=self.seed, **scale,
             )

@@ -92,6 +92,7 @@ class Fit:
     def run(self) -> None:
         from torchmat.fitting import fit, load_config
         from torchmat.fitting.choice.choose import NOT_MET
+        from torchmat.geometry.tiling import Tiling
         from torchmat.material_io import check_target
         from torchmat.rendering.as_mesh import as_mesh
         from torchmat.rendering.scene_file import load_scene
@@ -123,6 +124,8 @@ class Fit:
             print(outcome_text(choice).upper() if result.stop_reason == NOT_MET else outcome_text(choice))
             print()
         print(fit_tables(result.report))
+        if result.report["tiling"]:
+            print(f"\ntiles      {Tiling(**result.report['tiling']).sentence()}; --set tiles=true or false says otherwise")
         print()
         for text in (result.report["lambert_residual"] or {}).get("warnings", ()):
             print(f"warning    {text}")

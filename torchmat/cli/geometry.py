@@ -24,8 +24,8 @@ class Geometry:
     """Folder to write; an earlier relief there is replaced, unless something in it was painted."""
     force: bool = False
     """Replace it even so, and keep it as NAME.backup-1."""
-    tiles: bool = False
-    """The surface repeats: its left border continues its right one."""
+    tiles: bool | None = None
+    """Whether the surface repeats: its left border continues its right one (default: as the images say)."""
     depth: str = "16"
     """16 (PNG) or float (EXR)."""
     integration: str = "poisson"
@@ -59,25 +59,37 @@ class Geometry:
         from torchmat import colour
         from torchmat.btf.listing import is_image
         from torchmat.btf.photographs import read_linear
+        from torchmat.btf.tiling import btf_tiling
         from torchmat.geometry import relief_from_picture
+        from torchmat.geometry.tiling import tiling_of
 
         if Path(self.path).is_file() and is_image(self.path):
             with phase(f"reading {Path(self.path).name}"):
                 picture = colour.display(read_linear(self.path, self.read.encoding or "auto"))
-            return relief_from_picture(picture, self.height_scale, self.normal_strength, self.tiles), {}
+            tiles, described = self._tiles(tiling_of(picture[None]))
+            return relief_from_picture(picture, self.height_scale, self.normal_strength, tiles), described
         btf = self.read.load(self.path)
         if len(btf.views) > 1:
             from torchmat.fitting import recover_geometry
 
             with phase("recovering the relief"):
-                found = recover_geometry(btf, tiles=self.tiles)
+                tiles, described = self._tiles(btf_tiling(btf))
+                found = recover_geometry(btf, tiles=tiles)
             print("; ".join(f"{key}: {value}" for key, value in found.figures().items()))
-            return found.relief, {}
+            return found.relief, described
         return self._of_one_view(btf)
+
+    def _tiles(self, found):
+        """Return whether the surface is taken to repeat, and what is to be said of it."""
+        if self.tiles is not None:
+            return self.tiles, {"tiles": self.tiles}
+        print(f"tiles      {found.sentence()}")
+        return found.repeats, {"tiles": found.repeats, "tiling": found.report()}
 
     def _of_one_view(self, btf):
         from torchmat.btf.lambert import lambert_of, with_estimated_intensities
         from torchmat.btf.lit import paired_lights
+        from torchmat.btf.tiling import btf_tiling
         from torchmat.geometry import relief_from_photographs
         from torchmat.report.lights import lambert_text
 
@@ -95,8 +107,9 @@ class Geometry:
             print(line)
         with phase("looking at the images"):
             images, light, weight = lit.images(range(len(lit))), lit.light, lit.weights(range(len(lit)))
+        tiles, tiling = self._tiles(btf_tiling(lit))
         described = {
-            "notes": list(lit.source.notes), "lights": paired_lights(lit), "lambert": figures and figures.report(),
+            **tiling, "notes": list(lit.source.notes), "lights": paired_lights(lit), "lambert": figures and figures.report(),
         }
         with phase("recovering the relief"):
-            return relief_from_photographs(images, light, weight, self.tiles, self.integration), described
+            return relief_from_photographs(images, light, weight, tiles, self.integration), described

@@ -16,6 +16,7 @@ from torchmat.fitting.data_settings import DATA_KEYS, check_data_settings
 from torchmat.fitting.geometry import check_word, is_path
 from torchmat.fitting.recipe import recipe_of
 from torchmat.fitting.recipes import AUTO, RECIPES, default_options, resolve_options
+from torchmat.geometry.tiling import AUTO_TILES, check_tiles
 from torchmat.fitting.wanted import Target, make_target
 from torchmat.places import right_place
 from torchmat.shipped import find_file, shipped_names
@@ -34,7 +35,7 @@ class FitConfig:
         seed: seed of the split and of the solvers, from 0.
         geometry: "flat", "recover", or the path of a height map; None is the model's own way (`Recipe.geometry`), and
             of the model "auto" leaves the relief to the data.
-        tiles: whether the surface repeats at its borders.
+        tiles: whether the surface repeats at its borders; "auto" asks the images (`tiling_of`).
         target: what is wanted: of "auto" `error` (relative), `psnr` (dB), `bytes` a texel; of any model `seconds`.
         tile_size: side, in texels, of the tiles that are fitted one after the other; 0 is no wish.
         memory_mb: what a fit may take, in MB, by tiles if need be; 0 is no wish.
@@ -47,7 +48,7 @@ class FitConfig:
     holdout_by: str = "pair"
     seed: int = 0
     geometry: str | None = None
-    tiles: bool = True
+    tiles: bool | str = AUTO_TILES
     target: dict[str, Any] = field(default_factory=dict)
     tile_size: int = 0
     memory_mb: float = 0.0
@@ -67,6 +68,7 @@ class FitConfig:
             step = f'Fit "{AUTO}" to let the model be chosen, or leave {others[0]} out.'
             raise RangeError(message("fit", others[0], f'be wanted of the model "{AUTO}"', f"it is {self.model}", step))
         check_data_settings(self.data)
+        check_tiles("config", self.tiles)
         check_option("config", "holdout_by", self.holdout_by, HOLDOUT_WAYS)
         if not 0 <= self.holdout < 1:
             step = "It is the share that is held out; 0.2 is usual."
@@ -88,10 +90,10 @@ class FitConfig:
 def _typed(where: str, table: dict[str, Any]) -> dict[str, Any]:
     kinds: dict[str, Any] = {
         "model": str, "options": dict, "holdout": (int, float), "holdout_by": str, "seed": int, "geometry": str,
-        "tiles": bool, "target": dict, "tile_size": int, "memory_mb": (int, float), "data": dict,
+        "tiles": (bool, str), "target": dict, "tile_size": int, "memory_mb": (int, float), "data": dict,
     }
     for key, value in table.items():
-        if not isinstance(value, kinds[key]) or (isinstance(value, bool) and kinds[key] is not bool):
+        if not isinstance(value, kinds[key]) or (isinstance(value, bool) and key != "tiles"):
             wanted = getattr(kinds[key], "__name__", "number")
             raise RangeError(message(where, key, f"be a {wanted}", f"it is {value!r}"))
     return table

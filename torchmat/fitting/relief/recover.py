@@ -19,12 +19,14 @@ from torch import Tensor
 
 from torchmat import frames
 from torchmat.btf import Btf
+from torchmat.btf.tiling import decided
 from torchmat.errors import FitError, message
 from torchmat.fitting.relief.agreement import Agreement, Captured, agreement, capture, on_surface
 from torchmat.fitting.relief.refine import image_gradient, limited
 from torchmat.fitting.training import Training, make_training
 from torchmat.geometry import Relief, Stereo, photometric_stereo, poisson, slopes_from_normals
 from torchmat.geometry.normals import pad_border
+from torchmat.geometry.tiling import AUTO_TILES
 from torchmat.geometry.from_photographs import relief_from_stereo
 from torchmat.progress import Activity, progress, whole
 from torchmat.repeatable import one_thread, product
@@ -125,19 +127,20 @@ def recover_relief(training: Training) -> Recovery:
 
 
 def recover_geometry(
-    btf: Btf, *, tiles: bool = True, seed: int = 0, dtype: torch.dtype = torch.float32, progress: bool | None = None
+    btf: Btf, *, tiles: bool | str = AUTO_TILES, seed: int = 0, dtype: torch.dtype = torch.float32, progress: bool | None = None
 ) -> Recovery:
     """Recover height and normals of a BTF from all its samples; see `recover_relief`.
 
     Args:
         btf: the images.
-        tiles: whether the surface repeats at its borders.
+        tiles: whether the surface repeats at its borders; "auto" asks the images.
         seed: chooses the samples that are looked at, from 0.
         dtype: precision of the search, torch.float32 or torch.float64.
         progress: whether to show a bar; None shows it on a terminal.
     """
     with torch.no_grad():
-        return recover_relief(make_training(btf, torch.arange(len(btf)), seed, tiles, dtype, progress))
+        repeats, _ = decided("recover_geometry", btf, tiles)
+        return recover_relief(make_training(btf, torch.arange(len(btf)), seed, repeats, dtype, progress))
 
 
 def _in_time(captured: Captured, height: Tensor, watch: Watch, until: float) -> tuple[Captured, float]:
