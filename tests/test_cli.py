@@ -186,7 +186,7 @@ def test_bad_input_is_named_and_ends_with_2(config, data, tmp_path, capsys):
     refused(capsys, "Did you mean 'manifest'", "info", data, "--kind", "manifets", "--no-plot")
     refused(capsys, "nowhere", "render", tmp_path / "nowhere")
     refused(capsys, "Did you mean 'texture'", "compare", data, "--models", "textur")
-    refused(capsys, "the picture must be writable", "info", data, "--plot", config / "plot.png")
+    refused(capsys, "its place must be a folder that can be written to", "info", data, "--plot", config / "plot.png")
     refused(capsys, "per_light", "fit", config, "--data", data, "--out", out, "--set", "options.phong=per_light",
             "--set", "holdout=0.9")
     assert not out.exists()
@@ -228,7 +228,7 @@ def test_create_makes_a_material_of_a_picture(tmp_path, capsys):
     out = tmp_path / "out"
     arguments = (
         "create", tmp_path / "mein Stoff ü.png", "--out", out, "--specular", "glossy:width=0.3", "anisotropic:ratio=6",
-        "--centre", 0.2, 0.5, "--centre", 0.8, 0.5, "--tilt", "velvet", "--softness", 5, "--mask", 0.1, 1.2,
+        "--centre", 0.2, 0.5, "--centre", 0.8, 0.5, "--tilt", "velvet", "--softness", 5, "--mask", 0.1, 1.2, "--tiles", "False",
     )
     assert run(*arguments) == 0
     said = capsys.readouterr()
@@ -240,7 +240,7 @@ def test_create_makes_a_material_of_a_picture(tmp_path, capsys):
     provenance = json.loads((out / "manifest.json").read_text("utf-8"))["provenance"]
     assert provenance == {"created_from": "mein Stoff ü.png"}
     # Again, and flat: what stood there is replaced, with its pictures.
-    assert run("create", tmp_path / "mein Stoff ü.png", "--out", out, "--height-scale", 0, "--no-pictures", "--tiles") == 0
+    assert run("create", tmp_path / "mein Stoff ü.png", "--out", out, "--height-scale", 0, "--no-pictures", "--tiles", "True") == 0
     assert not (out / "maps.png").exists() and load_material(out).tiles and not load_material(out).has_relief
     assert run("render", out, "--size", 8) == 0
 

@@ -13,7 +13,15 @@ from torchmat.cli import known
 from torchmat.cli.early import check_model
 from torchmat.errors import DataError, RangeError
 from torchmat.fitting import RECIPES, FitConfig
+from torchmat.fitting.data_settings import DATA_KEYS
+from torchmat.fitting.models import linear, phong_srf, shading_map
+from torchmat.fitting.models.spheres import to_btf
 from torchmat.fitting.recipes import default_options
+from torchmat.fitting.wanted import Target
+from torchmat.material_io.exporter import EXPORTERS
+from torchmat.models.storage import STORAGES
+from torchmat.rendering.scene import PATCH
+from torchmat.rendering.shapes import SHAPES
 
 _RUN = "import sys; from torchmat.cli import main; code = main(sys.argv[1:]); print(code, 'torch' in sys.modules)"
 
@@ -27,6 +35,19 @@ def run(*arguments: str, cwd=None) -> tuple[str, str]:
 def test_the_names_that_are_known_early_are_those_that_there_are():
     assert known.OPTIONS == {model: tuple(default_options(model)) for model in (*RECIPES, "auto")}
     assert known.CONFIG_KEYS == tuple(field.name for field in dataclasses.fields(FitConfig))
+    assert known.TABLES == {"target": tuple(field.name for field in dataclasses.fields(Target)), "data": DATA_KEYS}
+    assert known.STORAGES == tuple(STORAGES) and known.MESHES == (PATCH, *SHAPES)
+    assert {*known.EXPORTERS} == {*EXPORTERS} == {*known.known_exporters()}
+
+
+def test_the_choices_that_are_known_early_are_those_that_the_models_take():
+    assert known.CHOICES == {
+        "lambert": {"normals": ("auto", *linear.NORMALS)},
+        "hsh": {"terms": tuple(linear.HSH_TERMS)},
+        "phong_srf": {"residual": tuple(phong_srf.RESIDUALS), "phong": tuple(phong_srf.PHONG_WAYS), "base": tuple(phong_srf.LOBES)},
+        "sphere_images": {"base": tuple(to_btf.SPHERE_BASES)},
+        "shading_map": {"brdf": tuple(shading_map.ANALYTIC), "overflow": tuple(shading_map.OVERFLOWS)},
+    }
 
 
 @pytest.mark.parametrize(("arguments", "words"), [
@@ -40,9 +61,26 @@ def test_the_names_that_are_known_early_are_those_that_there_are():
     (("refit", "stones", "--data", "nothing"), "nothing: the path must exist; there is nothing"),
     (("blend", "stones", "stone"), "Did you mean 'stones'?"),
     (("models", "neurel"), "Did you mean 'neural'?"),
+    (("fit", "phong_srf", "--set", "residual=half_lihgt"), "Did you mean 'half_light'?"),
+    (("fit", "ptm", "--set", "residual=half"), "It is an option of phong_srf, not of ptm: options.residual there."),
+    (("fit", "phong_srf", "--set", "target.residual=half"), "It is an option of phong_srf: options.residual."),
+    (("fit", "ptm", "--set", "psnr=25"), "It has its place in the table target: target.psnr."),
+    (("fit", "ptm", "--set", "options.seed=2"), "It is a key of the config itself: seed."),
+    (("fit", "misplaced.toml"), "misplaced.toml: key 'terms' must be one of"),
+    (("fit", "misplaced.toml"), "It is an option of hsh: options.terms."),
+    (("fit", "ptm", "stonse"), "Did you mean 'stones'?"),
+    (("fit", "ptm", "stones", "--data", "bad.toml"), "fit: the data must be named once; stones stands in its place"),
+    (("refit", "stones", "stones", "--data", "bad.toml"), "refit: the data must be named once"),
+    (("fit", "ptm", "--out", "bad.toml/out"), "its place must be a folder that can be written to"),
+    (("info", "stones", "--plot", "bad.toml/x.png"), "its place must be a folder that can be written to"),
+    (("render", "stones", "--mesh", "teapto"), "Did you mean 'teapot'?"),
+    (("render", "stones", "--mesh", "bunny.obj"), "bunny.obj: the path must exist"),
+    (("render", "stones", "--scene", "teapto.toml"), "teapto.toml: the path must exist"),
+    (("export", "stones", "--to", "pakced"), "Did you mean 'packed'?"),
 ])
 def test_a_misspelt_name_is_reported_before_torch_is_there(arguments, words, tmp_path):
     (tmp_path / "stones").mkdir()
+    (tmp_path / "misplaced.toml").write_text('model = "hsh"\nterms = 4\n')
     (tmp_path / "bad.toml").write_text('model = "ptm"\n[optoins]\n')
     out, error = run(*arguments, cwd=tmp_path)
     assert out == "2 False" and words in error and "Traceback" not in error
@@ -72,3 +110,30 @@ def test_idle_threads_of_a_command_give_way_unless_the_user_says_how_they_wait(g
     clean = {name: value for name, value in os.environ.items() if name not in ("GOMP_SPINCOUNT", "OMP_WAIT_POLICY")}
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env={**clean, **given})
     assert done.stdout.split()[-1] == spins
+
+
+def _help(code: str, columns: int) -> tuple[str, str]:
+    """Return the help that a fresh process prints in so many columns, and what it prints last."""
+    usual = {**os.environ, "COLUMNS": str(columns), "PYTHONIOENCODING": "utf-8"}
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, encoding="utf-8", env=usual)
+    text, _, last = done.stdout.rpartition("last:")
+    return text, last.strip()
+
+
+def test_the_help_that_is_kept_is_what_the_commands_say_of_themselves():
+    made, _ = _help("from torchmat.cli.run import read_arguments\ntry: read_arguments(['--help'], None)\nfinally: print('last:')", 80)
+    kept, loaded = _help("import sys; from torchmat.cli import main\ntry: main(['--help'])\nfinally: print('last:', 'tyro' in sys.modules)", 80)
+    assert kept == made, "run: COLUMNS=80 PYTHONIOENCODING=utf-8 python -c \"from torchmat.cli.run import read_arguments; " \
+        "read_arguments(['--help'], None)\" > torchmat/cli/help.txt"
+    assert loaded == "False" and made.startswith("usage: torchmat")
+
+
+def test_a_narrow_terminal_has_a_help_of_its_own():
+    text, _ = _help("from torchmat.cli import main\ntry: main(['--help'])\nfinally: print('last:')", 50)
+    assert max(len(line) for line in text.splitlines()[3:]) == 50
+
+
+def test_the_script_that_completes_names_knows_commands_and_options():
+    done = subprocess.run([sys.executable, "-m", "torchmat.cli", "--tyro-print-completion", "bash"], capture_output=True, encoding="utf-8")
+    assert done.returncode == 0 and "complete -F _tyro_torchmat torchmat" in done.stdout
+    assert all(name in done.stdout for name in ("fit-many", "--no-pictures", "--height-scale"))

@@ -9,7 +9,7 @@ from __future__ import annotations
 import difflib
 import math
 import warnings
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
@@ -96,14 +96,16 @@ def check_positive(where: str, name: str, value: float, next_step: str = "") -> 
         raise RangeError(message(where, name, "be positive and finite", f"it is {value}", next_step))
 
 
-def check_known_keys(where: str, given: Iterable[str], known: Iterable[str]) -> None:
-    """Raise RangeError for the first key that is not known; suggest the nearest one."""
+def check_known_keys(
+    where: str, given: Iterable[str], known: Iterable[str], place: Callable[[str], str] | None = None
+) -> None:
+    """Raise RangeError for the first key that is not known; say its right `place` where that says one, else the nearest."""
     known = list(known)
     for key in given:
         if key in known:
             continue
         near = difflib.get_close_matches(key, known, n=1, cutoff=0.4)
-        hint = f"Did you mean {near[0]!r}?" if near else ""
+        hint = (place(key) if place else "") or (f"Did you mean {near[0]!r}?" if near else "")
         listed = ", ".join(known) if known else "none"
         raise RangeError(message(where, f"key {key!r}", f"be one of: {listed}", "it is unknown", hint))
 

@@ -43,6 +43,14 @@ def read_text(path: str | Path, what: str = "the text") -> str:
     return decode_text(str(path), data, what)
 
 
+def parse_value(text: str) -> Any:
+    """Return the TOML value that `text` stands for; what is not TOML counts as a plain string."""
+    try:
+        return tomllib.loads(f"v = {text.strip()}")["v"]
+    except (ValueError, RecursionError):
+        return text.strip()
+
+
 def read_toml(path: str | Path, what: str) -> dict[str, Any]:
     """Return the table of a TOML file; raises DataError, which names the file and says `what` it is."""
     text = read_text(path, what)

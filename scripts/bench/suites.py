@@ -16,6 +16,7 @@ import reliefs
 import scale
 import scene
 import shading_maps
+import signs
 import solvers
 import spheres
 import torch
@@ -212,6 +213,6 @@ SUITES = {
     "geometry": reliefs.geometry, "relief": reliefs.relief, "distribution": reliefs.distribution,
     "compiled": compiled.measure, "auto": auto.auto, "scale": scale.scale, "scene": scene.scene,
     "shading_maps": shading_maps.shading_maps,
-    "objects": objects.objects, "meshes": meshes.meshes, "compare": compare.compare, "solvers": solvers.solvers, "busy": busy.busy,
+    "objects": objects.objects, "meshes": meshes.meshes, "compare": compare.compare, "solvers": solvers.solvers, "busy": busy.busy, "signs": signs.signs,
     "sphere_images": spheres.sphere_images, "sphere_sizes": spheres.sphere_sizes, "sphere_shading": spheres.sphere_shading,
 }

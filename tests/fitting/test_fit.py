@@ -24,7 +24,7 @@ REPORT_KEYS = {
     "shade_mtexels_per_s", "peak_rss_mb", "stop_reason", "train", "held_out", "held_out_after_export", "versions",
 }
 EXTRA_KEYS = {
-    "target", "data", "curve", "holdout", "holdout_by", "geometry", "tiles", "shared_bytes", "coverage", "source", "figures", "lambert_residual",
+    "target", "data", "curve", "holdout", "holdout_by", "geometry", "tiles", "tiling", "shared_bytes", "coverage", "source", "figures", "lambert_residual",
 }
 FIGURES = {"mse", "relative_error", "psnr_db", "psnr_log_db", "ssim", "delta_e"}
 OPTIONS = {

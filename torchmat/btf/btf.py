@@ -53,6 +53,15 @@ def unique_directions(directions: Tensor) -> tuple[Tensor, Tensor]:
     return directions[first[order]], order.argsort()[inverse]
 
 
+def _below_notes(light: Tensor) -> tuple[str, ...]:
+    """Return a note on lights that are below the surface, where there are any; a view there is refused."""
+    below = light[:, 2] < 0 if light.ndim == 2 and light.shape[1] == 3 else torch.zeros(0, dtype=torch.bool)
+    if not bool(below.any()):
+        return ()
+    first = int(below.nonzero()[0, 0])
+    return (f"warning: {int(below.sum())} of {len(below)} lights are below the surface, first that of sample {first}",)
+
+
 def _switched_off(where: str, weight: Tensor, shape: tuple[int, int, int]) -> Tensor:
     """Return where a 0/1 `weight` is 0, bool [sample, H, W]."""
     count, height, width = shape
@@ -163,7 +172,8 @@ class Btf:
             images = torch.where(off[:, None], torch.zeros((), dtype=dtype), images)
         check_finite(where, "images", images, "Repair those values, or give them weight 0.")
         pixels = images.contiguous().numpy()
-        return cls(summarise(pixels, flags), light.to(dtype), view.to(dtype), Decoder(pixels.dtype, "linear", 1.0))
+        origin = Source(notes=_below_notes(light))
+        return cls(summarise(pixels, flags), light.to(dtype), view.to(dtype), Decoder(pixels.dtype, "linear", 1.0), origin)
 
     def window(self, top: int, left: int, height: int, width: int, step: int = 1) -> Btf:
         """Return the same samples of a part of the texels, or of every `step`-th of them in rows and columns.

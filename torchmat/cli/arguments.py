@@ -6,6 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
+from torchmat.progress import phase
+
 SAMPLE = "sample"
 NO_INTENSITIES = "none"
 _MASK_WORDS = ("alpha", "background", "none")
@@ -83,7 +85,8 @@ class DataArguments:
         from torchmat.report.lights import lights_text
 
         where = sample_path() if path == SAMPLE and not Path(path).exists() else path
-        btf = load_btf(where, **{**(settings or {}), **self.keywords()})
+        with phase(f"reading {Path(path).name}"):
+            btf = load_btf(where, **{**(settings or {}), **self.keywords()})
         for line in lights_text(btf, self.verbose):
             print(line)
         if self.write_lights is not None:
@@ -98,6 +101,16 @@ class DataArguments:
             print(f"picture    {ball_picture(self.ball, self.circle, path.with_suffix('.png'))}")
 
 
+def data_of(command: str, given: str | None, named: str | None) -> str | None:
+    """Return the data of a command that takes it in its place and as --data; raises RangeError where these differ."""
+    from torchmat.errors import RangeError, message
+
+    if given is not None and named is not None and given != named:
+        fact, step = f"{given} stands in its place, and --data is {named}", "Leave one of them out."
+        raise RangeError(message(command, "the data", "be named once", fact, step))
+    return named if given is None else given
+
+
 def names_of(texts: list[str]) -> list[str]:
     """Return the names in a list that has commas, spaces, or both between them."""
     return [name.strip() for text in texts for name in text.split(",") if name.strip()]
@@ -106,7 +119,7 @@ def names_of(texts: list[str]) -> list[str]:
 def options_of(texts: list[str]) -> dict[str, Any]:
     """Return the options that texts such as ``depth=16`` give; raises RangeError for other texts."""
     from torchmat.errors import RangeError, message
-    from torchmat.fitting.config import parse_value
+    from torchmat.text_file import parse_value
 
     found: dict[str, Any] = {}
     for text in texts:

@@ -9,6 +9,7 @@ from typing import Annotated, ClassVar
 import tyro
 
 from torchmat.cli.arguments import check_out
+from torchmat.progress import phase
 
 _GREY = 0.02  # how far the channels of a picture of weights may lie apart, as those of a grey JPEG do
 
@@ -46,9 +47,11 @@ class Blend:
         if self.weight is not None and self.mask is not None:
             step = "Leave one of them out."
             raise RangeError(message("blend", "--weight and --mask", "not both be given", "they are", step))
-        first, second = load_material(self.first), load_material(self.second)
+        with phase("reading the materials"):
+            first, second = load_material(self.first), load_material(self.second)
         weight = (0.5 if self.weight is None else self.weight) if self.mask is None else self._weights(self.mask, first)
-        mixed = blend(first, second, weight, self.filter)
+        with phase("blending"):
+            mixed = blend(first, second, weight, self.filter)
         by = {"weight": weight} if self.mask is None else {"mask": self.mask.name}
         provenance = {"blend": {"of": [Path(path).resolve().name for path in (self.first, self.second)], **by}}
         print(f"material   {write_edited(mixed, self.out, provenance, pictures=not self.no_pictures, force=self.force)}")

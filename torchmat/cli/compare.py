@@ -9,6 +9,7 @@ from typing import Annotated, ClassVar
 import tyro
 
 from torchmat.cli.arguments import SAMPLE, DataArguments
+from torchmat.progress import phase
 
 
 @dataclass
@@ -74,4 +75,6 @@ class Compare:
             if row["same_bits"] is False:
                 print(f"{row['model']}: repeats differ, relative errors {row['relative_errors']}")
         if out is not None:
-            print(f"comparison {write_comparison(rows, out, title)}")
+            with phase("writing the report"):
+                written = write_comparison(rows, out, title)
+            print(f"comparison {written}")

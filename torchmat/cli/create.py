@@ -8,6 +8,8 @@ from typing import Annotated, ClassVar
 
 import tyro
 
+from torchmat.progress import phase
+
 
 @dataclass
 class Create:
@@ -44,8 +46,8 @@ class Create:
     """Picture only: u and v (0 to 1, v up) about which the specular map turns; may be repeated."""
     tilt: str | None = None
     """Picture only: default, velvet, gentle or flat; or points DEGREES:TILT,... as 0:0,30:0.1,90:1."""
-    tiles: bool = False
-    """Picture only: it repeats; textures of a set always do."""
+    tiles: bool | None = None
+    """Picture or textures only: whether the surface repeats at its borders (default: as they say)."""
     encoding: str = "auto"
     """Picture only: auto, srgb, linear or xyz."""
     seed: int = 0
@@ -75,7 +77,9 @@ class Create:
         material = self._make()
 
         def draw(building: Path) -> None:
-            if not self.no_pictures:
+            if self.no_pictures:
+                return
+            with phase("drawing the maps"):
                 maps_picture(material, building / "maps.png")
                 hemisphere_picture(material, building / "hemisphere.png")
 
@@ -97,10 +101,13 @@ class Create:
         from torchmat.fitting.models.spheres.to_brdf import fit_sphere_images
         from torchmat.models import SphereImages
 
-        brdf = load_brdf(self.path)
+        with phase(f"reading {Path(self.path).name}"):
+            brdf = load_brdf(self.path)
         if self.paper:
-            return SphereImages.from_brdf(brdf, self.angles_deg, self.picture_size, storage=self.storage or "half")
-        fitted = fit_sphere_images(brdf, self.angles_deg, self.picture_size, storage=self.storage or "half")
+            with phase("rendering the pictures"):
+                return SphereImages.from_brdf(brdf, self.angles_deg, self.picture_size, storage=self.storage or "half")
+        with phase("fitting sphere pictures"):
+            fitted = fit_sphere_images(brdf, self.angles_deg, self.picture_size, storage=self.storage or "half")
         print("; ".join(f"{key}: {value}" for key, value in fitted.figures.items()))
         return fitted.material
 
@@ -109,7 +116,8 @@ class Create:
         from torchmat.create.from_sphere import sphere_images_from_photographs
 
         assert self.circle is not None
-        photographs = read_photographs(self.path, self.encoding)
+        with phase(f"reading {Path(self.path).name}"):
+            photographs = read_photographs(self.path, self.encoding)
         return sphere_images_from_photographs(
             photographs, self.angles_deg, self.circle[:2], self.circle[2], size=self.picture_size,
             azimuths_deg=self.azimuths_deg, exposure=self.exposure, storage=self.storage or "half",
@@ -121,23 +129,33 @@ class Create:
 
         found = find_textures(self.path)
         print("\n".join([f"{kind:16s} {file}" for kind, file in found.rows()] + found.notes()))
-        return material_from_textures(
-            self.path, lobes=self.lobes, height_scale=self.height_scale, occlusion=self.occlusion,
-            storage=self.storage or "paint8", say=print,
-        )
+        with phase("making the maps"):
+            return material_from_textures(
+                self.path, lobes=self.lobes, height_scale=self.height_scale, occlusion=self.occlusion,
+                storage=self.storage or "paint8", say=print, tiles="auto" if self.tiles is None else self.tiles,
+            )
 
     def _from_picture(self):
         from torchmat.btf.decode import ENCODINGS
         from torchmat.btf.photographs import read_linear
         from torchmat.create import material_from_picture
         from torchmat.errors import check_option
+        from torchmat.geometry.tiling import tiling_of
 
         check_option("create", "encoding", self.encoding, ENCODINGS)
         scale = {} if self.height_scale is None else {"height_scale": self.height_scale}
-        return material_from_picture(
-            read_linear(self.path, self.encoding), lobes=len(self.specular), specular=self.specular,
-            mask_brightness=self.mask[0], mask_contrast=self.mask[1], fresnel_brightness=self.fresnel[0],
-            fresnel_contrast=self.fresnel[1], darken=self.darken, softness=self.softness,
-            rotation_centres=self.centre, tilt=self.tilt, tiles=self.tiles, storage=self.storage or "paint8",
-            seed=self.seed, **scale,
-        )
+        with phase(f"reading {Path(self.path).name}"):
+            picture = read_linear(self.path, self.encoding)
+        tiles = self.tiles
+        if tiles is None:
+            found = tiling_of(picture[None])
+            print(f"tiles      {found.sentence()}")
+            tiles = found.repeats
+        with phase("making the maps"):
+            return material_from_picture(
+                picture, lobes=len(self.specular), specular=self.specular,
+                mask_brightness=self.mask[0], mask_contrast=self.mask[1], fresnel_brightness=self.fresnel[0],
+                fresnel_contrast=self.fresnel[1], darken=self.darken, softness=self.softness,
+                rotation_centres=self.centre, tilt=self.tilt, tiles=tiles, storage=self.storage or "paint8",
+                seed=self.seed, **scale,
+            )

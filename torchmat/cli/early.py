@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable
+import os
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from torchmat.cli.arguments import SAMPLE
-from torchmat.cli.known import CONFIG_KEYS, known_options
+from torchmat.cli.known import CHOICES, CONFIG_KEYS, STORAGES, TABLES, known_options
 from torchmat.errors import DataError, check_known_keys, check_option, message
+from torchmat.places import right_place
 from torchmat.shipped import find_file, shipped_names
-from torchmat.text_file import read_toml
+from torchmat.text_file import parse_value, read_toml
 
 
 def check_early(command: Any) -> None:
@@ -25,6 +27,9 @@ def check_early(command: Any) -> None:
             value = getattr(part, name)
             for path in value if isinstance(value, list | tuple) else [value]:
                 check_there(path)
+    for name in ("out", "write_lights", "plot"):
+        for part in (command, getattr(command, "read", None)):
+            check_place(getattr(part, name, None))
     if hasattr(command, "check_names"):
         command.check_names()
 
@@ -49,23 +54,59 @@ def check_model(name: str, settings: Iterable[str] = ()) -> None:
     if Path(name).suffix or len(Path(name).parts) > 1:
         path = find_file(name)
         table = read_toml(path, "the config")
-        check_known_keys(str(path), table, CONFIG_KEYS)
         name = str(table.get("model", "phong_srf"))
+        check_known_keys(str(path), table, CONFIG_KEYS, _places(name))
         check_option(str(path), "model", name, models)
     else:
         check_option("fit", "model", name, (*models, *shipped_names()))
     options = table.get("options", {})
     if isinstance(options, dict):
-        check_known_keys(f"fit {name}", options, models[name])
+        check_known_keys(f"fit {name}", options, models[name], _places(name))
+        for key, value in options.items():
+            _check_value(name, key, value)
     for text in settings:
-        key = text.partition("=")[0].strip()
-        if key == "model":
-            name = text.partition("=")[2].strip().strip("\"'")
-            check_option("fit", "model", name, models)
-        elif key.startswith("options."):
-            check_known_keys(f"fit {name}", [key.removeprefix("options.")], models[name])
-        elif "." not in key:
-            check_known_keys("--set", [key], (*CONFIG_KEYS, *models[name]))
+        name = _check_setting(name, text, models)
+
+
+def _check_setting(model: str, text: str, models: Mapping[str, Sequence[str]]) -> str:
+    """Raise RangeError for a setting that cannot be; return the model that is meant after it."""
+    key, _, value = (part.strip() for part in text.partition("="))
+    table, _, inner = key.partition(".")
+    if key == "model":
+        model = str(parse_value(value))
+        check_option("fit", "model", model, models)
+    elif table == "options" and inner:
+        check_known_keys(f"fit {model}", [inner], models[model], _places(model))
+        _check_value(model, inner, parse_value(value))
+    elif table in TABLES and inner:
+        check_known_keys("--set", [inner], TABLES[table], _places(model))
+    elif not inner:
+        check_known_keys("--set", [key], (*CONFIG_KEYS, *models[model]), _places(model))
+        if key not in CONFIG_KEYS:
+            _check_value(model, key, parse_value(value))
+    return model
+
+
+def _places(model: str) -> Callable[[str], str]:
+    return lambda key: right_place(key, model, known_options(), CONFIG_KEYS, TABLES)
+
+
+def _check_value(model: str, option: str, value: object) -> None:
+    choices = STORAGES if option == "storage" else CHOICES.get(model, {}).get(option)
+    if choices is not None:
+        check_option(f"fit {model}", option, value, choices)
+
+
+def check_place(out: str | Path | None) -> None:
+    """Raise DataError for a file or folder to write whose place cannot be."""
+    if out is None:
+        return
+    place = Path(os.path.abspath(out)).parent
+    while not os.path.lexists(place) and place != place.parent:
+        place = place.parent
+    if not place.is_dir() or not os.access(place, os.W_OK | os.X_OK):
+        fact = f"{place} is a file" if not place.is_dir() else f"{place} is not"
+        raise DataError(message(str(out), "its place", "be a folder that can be written to", fact, "Name another one."))
 
 
 def _nearest(path: Path) -> str:

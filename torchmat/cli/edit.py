@@ -8,6 +8,8 @@ from typing import Annotated, Any, ClassVar
 
 import tyro
 
+from torchmat.progress import phase
+
 
 @dataclass
 class Edit:
@@ -70,7 +72,8 @@ class Edit:
             return edited(material, edits)
 
         record = {**({"without": self.without} if self.without else {}), **edits}
-        done = change_material(self.material, change, record, self.out, self.force)
+        with phase(f"changing {Path(self.material).name}"):
+            done = change_material(self.material, change, record, self.out, self.force)
         print(f"changed    {', '.join(done.maps) or 'no map'}")
         for name in done.files:
             print(f"written    {done.folder / name}")

@@ -9,6 +9,7 @@ from typing import Annotated, ClassVar
 import tyro
 
 from torchmat.cli.arguments import check_apart, options_of, provenance_of
+from torchmat.progress import phase
 
 
 @dataclass
@@ -30,6 +31,13 @@ class Export:
     set: Annotated[list[str], tyro.conf.UseAppendAction] = field(default_factory=list)
     """Option of the exporter, for example --set depth=16; may be repeated."""
 
+    def check_names(self) -> None:
+        from torchmat.cli.known import known_exporters
+        from torchmat.errors import check_option
+
+        if self.to is not None:
+            check_option("export", "to", self.to, known_exporters())
+
     def run(self) -> None:
         from torchmat import export, load_material
         from torchmat.material_io.exporter import chosen_exporter, loss_file
@@ -37,10 +45,11 @@ class Export:
         exporter = chosen_exporter(self.out or "", self.to)
         out = self.out or Path(Path(self.material).resolve().stem + (exporter.suffix or f"_{exporter.name}"))
         check_apart("export", out, self.material)
-        losses = export(
-            load_material(self.material), out, exporter.name, provenance=self._provenance(), force=self.force,
-            **options_of(self.set),
-        )
+        with phase(f"writing {out.name}"):
+            losses = export(
+                load_material(self.material), out, exporter.name, provenance=self._provenance(), force=self.force,
+                **options_of(self.set),
+            )
         print(losses)
         print()
         print(f"{exporter.name:10s} {out}")

@@ -10,20 +10,22 @@ from typing import Annotated, ClassVar
 import tyro
 
 from torchmat.cli.again import Run, read_run, run_of
-from torchmat.cli.arguments import SAMPLE, DataArguments, still_free
+from torchmat.cli.arguments import SAMPLE, DataArguments, data_of, still_free
 
 
 @dataclass
 class Fit:
     """Fit a material to a BTF and write it with its report and pictures."""
 
-    reads: ClassVar = ("data",)
+    reads: ClassVar = ("given", "data")
 
     model: Annotated[str | None, tyro.conf.Positional, tyro.conf.arg(metavar="MODEL|CONFIG")] = None
     """Name of a model with its defaults (`torchmat models` lists them; `auto` chooses), or with .toml a config: its path,
     or its name alone for one that ships, such as phong_srf_half_light.toml."""
-    data: str | None = None
+    given: Annotated[str | None, tyro.conf.Positional, tyro.conf.arg(metavar="DATA")] = None
     """Folder or zip of images, or a BRDF file (default: `sample`, which ships with the package)."""
+    data: str | None = None
+    """The same, where it does not stand behind the model."""
     out: Path | None = None
     """Folder to write (default: out); an earlier material there is replaced, unless something in it was painted or
     edited."""
@@ -70,6 +72,7 @@ class Fit:
 
         if self.model is not None:
             check_model(self.model, self.set)
+        data_of("fit", self.given, self.data)
 
     def _run(self) -> Run | None:
         """Return the run to repeat, None for a new one."""
@@ -89,6 +92,7 @@ class Fit:
     def run(self) -> None:
         from torchmat.fitting import fit, load_config
         from torchmat.fitting.choice.choose import NOT_MET
+        from torchmat.geometry.tiling import Tiling
         from torchmat.material_io import check_target
         from torchmat.rendering.as_mesh import as_mesh
         from torchmat.rendering.scene_file import load_scene
@@ -107,7 +111,7 @@ class Fit:
         for mesh in (as_mesh(scene.mesh) for scene in scenes):
             if mesh.mapping != "shape":
                 print(f"mesh       {mesh_line(mesh)}")
-        data = self.data or (SAMPLE if run is None else run.data)
+        data = data_of("fit", self.given, self.data) or (SAMPLE if run is None else run.data)
         btf = self.read.load(data, config.data)
         if run is not None:
             run.check_data(btf)
@@ -120,6 +124,8 @@ class Fit:
             print(outcome_text(choice).upper() if result.stop_reason == NOT_MET else outcome_text(choice))
             print()
         print(fit_tables(result.report))
+        if result.report["tiling"]:
+            print(f"\ntiles      {Tiling(**result.report['tiling']).sentence()}; --set tiles=true or false says otherwise")
         print()
         for text in (result.report["lambert_residual"] or {}).get("warnings", ()):
             print(f"warning    {text}")

@@ -9,6 +9,7 @@ from typing import Annotated, ClassVar
 import tyro
 
 from torchmat.cli.arguments import DataArguments
+from torchmat.progress import phase
 
 
 @dataclass
@@ -23,8 +24,8 @@ class Geometry:
     """Folder to write; an earlier relief there is replaced, unless something in it was painted."""
     force: bool = False
     """Replace it even so, and keep it as NAME.backup-1."""
-    tiles: bool = False
-    """The surface repeats: its left border continues its right one."""
+    tiles: bool | None = None
+    """Whether the surface repeats: its left border continues its right one (default: as the images say)."""
     depth: str = "16"
     """16 (PNG) or float (EXR)."""
     integration: str = "poisson"
@@ -44,9 +45,10 @@ class Geometry:
         relief, described, btf = self._recover()
 
         def draw(building: Path) -> None:
-            relief_picture(relief, building / "relief.png")
-            if btf is not None:
-                mask_picture(btf, building / "object_mask.png")
+            with phase("drawing pictures"):
+                relief_picture(relief, building / "relief.png")
+                if btf is not None:
+                    mask_picture(btf, building / "object_mask.png")
             if self.read.ball is not None and self.read.circle is not None:
                 ball_picture(self.read.ball, self.read.circle, building / "ball.png")
 
@@ -59,19 +61,25 @@ class Geometry:
         from torchmat import colour
         from torchmat.btf.listing import is_image
         from torchmat.btf.photographs import read_linear
+        from torchmat.btf.tiling import btf_tiling
         from torchmat.geometry import relief_from_picture
+        from torchmat.geometry.tiling import tiling_of
 
         if Path(self.path).is_file() and is_image(self.path):
-            picture = colour.display(read_linear(self.path, self.read.encoding or "auto"))
-            return relief_from_picture(picture, self.height_scale, self.normal_strength, self.tiles), {}, None
+            with phase(f"reading {Path(self.path).name}"):
+                picture = colour.display(read_linear(self.path, self.read.encoding or "auto"))
+            tiles, described = self._tiles(tiling_of(picture[None]))
+            return relief_from_picture(picture, self.height_scale, self.normal_strength, tiles), described, None
         btf = self.read.load(self.path)
         self._check_integration(btf)
         if len(btf.views) > 1:
             from torchmat.fitting import recover_geometry
 
-            found = recover_geometry(btf, tiles=self.tiles)
+            with phase("recovering the relief"):
+                tiles, described = self._tiles(btf_tiling(btf))
+                found = recover_geometry(btf, tiles=tiles)
             print("; ".join(f"{key}: {value}" for key, value in found.figures().items()))
-            return found.relief, btf.object_figures(), btf
+            return found.relief, {**described, **btf.object_figures()}, btf
         return *self._of_one_view(btf), btf
 
     def _check_integration(self, btf) -> None:
@@ -80,9 +88,17 @@ class Geometry:
 
         check_integration("geometry", self.integration, btf.mask if len(btf.views) == 1 else None)
 
+    def _tiles(self, found):
+        """Return whether the surface is taken to repeat, and what is to be said of it."""
+        if self.tiles is not None:
+            return self.tiles, {"tiles": self.tiles}
+        print(f"tiles      {found.sentence()}")
+        return found.repeats, {"tiles": found.repeats, "tiling": found.report()}
+
     def _of_one_view(self, btf):
         from torchmat.btf.lambert import lambert_of, with_estimated_intensities
         from torchmat.btf.lit import paired_lights
+        from torchmat.btf.tiling import btf_tiling
         from torchmat.geometry import relief_from_photographs
         from torchmat.report.lights import lambert_text
 
@@ -90,16 +106,20 @@ class Geometry:
         lit = btf if len(rows) == len(btf) else btf.picked(rows)
         figures = lambert_of(lit)
         if figures and lit.intensity is None and self.read.intensities is None:
-            estimated = with_estimated_intensities(lit, only_if_better=True)
+            with phase("estimating the intensities of the lights"):
+                estimated = with_estimated_intensities(lit, only_if_better=True)
             print(f"note       {estimated.source.notes[-1]}")
             after = None if estimated.intensity is None else lambert_of(estimated)
             if after:
                 figures, lit = figures.with_intensities(after), estimated
         for line in lambert_text(figures):
             print(line)
-        images, light, weight = lit.images(range(len(lit))), lit.light, lit.weights(range(len(lit)))
+        with phase("looking at the images"):
+            images, light, weight = lit.images(range(len(lit))), lit.light, lit.weights(range(len(lit)))
+        tiles, tiling = self._tiles(btf_tiling(lit))
         described = {
-            "notes": list(lit.source.notes), "lights": paired_lights(lit), "lambert": figures and figures.report(),
+            **tiling, "notes": list(lit.source.notes), "lights": paired_lights(lit), "lambert": figures and figures.report(),
             **btf.object_figures(),
         }
-        return relief_from_photographs(images, light, weight, self.tiles, self.integration, lit.mask), described
+        with phase("recovering the relief"):
+            return relief_from_photographs(images, light, weight, tiles, self.integration, lit.mask), described

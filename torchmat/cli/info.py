@@ -21,9 +21,9 @@ class Info:
     path: Annotated[str, tyro.conf.Positional] = SAMPLE
     """What to describe."""
     plot: Path | None = None
-    """Where to write the picture of lights and views (default: directions.png in the current folder; BTFs only)."""
+    """Where to write a picture of lights and views (BTFs only; default: none is written)."""
     no_plot: bool = False
-    """Print only."""
+    """Print only, as without --plot."""
     read: Annotated[DataArguments, tyro.conf.arg(name="")] = field(default_factory=DataArguments)
 
     def run(self) -> None:
@@ -52,7 +52,7 @@ class Info:
         print(describe_btf(btf))
         for line in lambert_text(lambert_of(btf)):
             print(line)
-        if not self.no_plot:
+        if self.plot is not None and not self.no_plot:
             from torchmat.report.pictures import directions_picture
 
-            print(f"picture    {directions_picture(btf, self.plot or Path('directions.png'))}")
+            print(f"picture    {directions_picture(btf, self.plot)}")

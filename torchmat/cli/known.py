@@ -30,6 +30,39 @@ OPTIONS: dict[str, tuple[str, ...]] = {
 }
 
 
+TABLES: dict[str, tuple[str, ...]] = {
+    "target": ("error", "psnr", "bytes", "seconds"),
+    "data": (
+        "kind", "encoding", "invalid", "duplicates", "exposure", "crop", "downscale", "lights", "views", "normalise",
+        "light_table", "ball", "circle", "intensities", "skip_bad_lights", "clipped_weight",
+    ),
+}
+CHOICES: dict[str, dict[str, tuple[object, ...]]] = {
+    "lambert": {"normals": ("auto", "map", "height")},
+    "hsh": {"terms": (4, 9, 16)},
+    "phong_srf": {
+        "residual": ("half", "half_light", "quadratic", "cosine"), "phong": ("mean_brdf", "per_light"),
+        "base": ("phong", "ashikhmin_shirley"),
+    },
+    "sphere_images": {"base": ("phong", "blinn", "cook_torrance", "ggx")},
+    "shading_map": {
+        "brdf": (
+            "lambert", "phong", "blinn", "ashikhmin_shirley", "ward", "cook_torrance", "ggx", "ggx_anisotropic",
+        ),
+        "overflow": ("clamp", "scale"),
+    },
+}
+STORAGES = ("half", "float", "png8", "png16", "tiff8", "tiff16", "paint8", "paint16")
+EXPORTERS = ("folder", "3pm", "packed")
+MESHES = ("patch", "quad", "cube", "sphere", "torus", "teapot")
+
+
+def known_exporters() -> tuple[str, ...]:
+    """Return the names of exporters: as they stand here, or where the package is loaded those of all registered ones."""
+    loaded = sys.modules.get("torchmat.material_io.exporter")
+    return EXPORTERS if loaded is None else tuple(loaded.EXPORTERS)
+
+
 def known_options() -> dict[str, tuple[str, ...]]:
     """Return the options of each model: as they stand here, or where the package is loaded those of all registered ones."""
     loaded = sys.modules.get("torchmat.fitting.recipe")

@@ -8,19 +8,21 @@ from typing import Annotated, Any, ClassVar
 
 import tyro
 
-from torchmat.cli.arguments import SAMPLE, DataArguments, check_out, names_of, provenance_of, still_free
+from torchmat.cli.arguments import SAMPLE, DataArguments, check_out, data_of, names_of, provenance_of, still_free
 
 
 @dataclass
 class Refit:
     """Fit some maps of an edited material anew and keep the others, to the bit, as they were painted."""
 
-    reads: ClassVar = ("material", "data")
+    reads: ClassVar = ("material", "given", "data")
 
     material: Annotated[str, tyro.conf.Positional]
     """Material folder, painted over or not."""
-    data: str = SAMPLE
-    """Folder, zip or file of images, read in the size of the material; `sample` ships with the package."""
+    given: Annotated[str | None, tyro.conf.Positional, tyro.conf.arg(metavar="DATA")] = None
+    """Folder, zip or file of images, read in the size of the material (default: `sample`, which ships with the package)."""
+    data: str | None = None
+    """The same, where it does not stand behind the material."""
     keep: list[str] = field(default_factory=list)
     """Maps that stay, with commas or spaces between: --keep diffuse,height (default: none)."""
     out: Path = Path("out")
@@ -45,6 +47,9 @@ class Refit:
     """Write the material and report.json only."""
     read: Annotated[DataArguments, tyro.conf.arg(name="")] = field(default_factory=DataArguments)
 
+    def check_names(self) -> None:
+        data_of("refit", self.given, self.data)
+
     def run(self) -> None:
         from torchmat import load_material, refit
         from torchmat.report.tables import refit_table
@@ -55,7 +60,7 @@ class Refit:
         split: dict[str, Any] = {"holdout": 0.2, "holdout_by": "pair", "seed": 0}
         split |= {name: provenance[name] for name in split if name in provenance}
         split |= {name: getattr(self, name) for name in split if getattr(self, name) is not None}
-        btf = self.read.load(self.data)
+        btf = self.read.load(data_of("refit", self.given, self.data) or SAMPLE)
         found = refit(
             btf, material, names_of(self.keep), solver=self.solver, steps=self.steps, effort=self.effort,
             objective=self.objective, **split,

@@ -10,6 +10,8 @@ from typing import Annotated, Any, ClassVar
 import tyro
 
 from torchmat.cli.arguments import DataArguments
+from torchmat.progress import phase
+from torchmat.shipped import find_file
 
 _Direction = tuple[float, float, float]
 _DEFAULT_MESHES = ("patch", "sphere")
@@ -66,6 +68,19 @@ class Render:
     """Write linear EXR beside the 8-bit PNG."""
     read: DataArguments = field(default_factory=DataArguments)
 
+    def check_names(self) -> None:
+        from torchmat.cli.early import check_there
+        from torchmat.cli.known import MESHES
+        from torchmat.errors import check_option
+
+        for mesh in self.mesh:
+            if Path(mesh).suffix or len(Path(mesh).parts) > 1:
+                check_there(mesh)
+            elif not Path(mesh).exists():
+                check_option("render", "--mesh", mesh, MESHES)
+        if self.scene is not None:
+            check_there(find_file(self.scene, "scenes"))
+
     def run(self) -> None:
         from torchmat.report.describe import is_material
 
@@ -76,7 +91,9 @@ class Render:
         inside = Path(self.material).is_dir() and is_material(self.material)
         folder = self.out or (Path(self.material) / "pictures" if inside else Path("pictures"))
         if scene is not None:
-            for path in self._of_scene(shader, scene, folder):
+            with phase(f"rendering {self.scene}"):
+                written = self._of_scene(shader, scene, folder)
+            for path in written:
                 print(f"picture    {path}")
             return
         meshes = self.mesh or (_DEFAULT_MESHES[1:] if self.point or self.turntable or self.sweep else _DEFAULT_MESHES)
@@ -84,7 +101,9 @@ class Render:
         lights = self._lights()
         for mesh in meshes:
             stem = folder / f"render_{Path(mesh).stem}"
-            for path in self._pictures(shader, mesh, lights, stem):
+            with phase(f"rendering {Path(mesh).name}"):
+                written = self._pictures(shader, mesh, lights, stem)
+            for path in written:
                 print(f"picture    {path}")
 
     def _of_scene(self, shader, scene, folder: Path) -> list[Path]:
@@ -107,6 +126,13 @@ class Render:
         usual = _FRONT if mesh in _SEEN_FROM_THE_FRONT else _THREE_QUARTER
         return usual if self.view is None else self.view
 
+    def _say_below(self) -> None:
+        """Say which lights lie below the patch, whose picture they leave black."""
+        below = [light for light in self.light if light[2] < 0]
+        if below:
+            count, first = f"{len(below)} of {len(self.light)} lights", " ".join(f"{number:g}" for number in below[0])
+            print(f"warning    {count} below the surface of the patch, first --light {first}")
+
     def _check(self, meshes) -> None:
         from torchmat.errors import RangeError, message
 
@@ -127,10 +153,11 @@ class Render:
         from torchmat.brdf import is_brdf_file
         from torchmat.report.describe import is_material
 
-        if is_material(self.material):
-            return load_material(self.material)
-        if is_brdf_file(self.material):
-            return load_brdf(self.material)
+        with phase(f"reading {Path(self.material).name}"):
+            if is_material(self.material):
+                return load_material(self.material)
+            if is_brdf_file(self.material):
+                return load_brdf(self.material)
         return RawBtf(self.read.load(self.material))
 
     def _lights(self) -> list:
@@ -140,7 +167,8 @@ class Render:
 
         lights = [*map(Directional, self.light), *map(Point, self.point)]
         if self.environment is not None:
-            lights += environment_lights(read_linear(self.environment), self.environment_lights)
+            with phase(f"reading {self.environment.name}"):
+                lights += environment_lights(read_linear(self.environment), self.environment_lights)
         return lights or [Directional(DEFAULT_LIGHT)]
 
     def _pictures(self, shader, mesh: str, lights: list, stem: Path) -> list[Path]:
@@ -155,6 +183,7 @@ class Render:
         repeat = usual if self.repeat is None else self.repeat
         view, target = self._view(mesh), stem.with_suffix(".png")
         if mesh == PATCH:
+            self._say_below()
             picture = render(shader, PATCH, lights, view, self.size, repeat, shadows=self.shadows, rays=self.rays)
             return write_picture(picture, target, self.exposure, self.exr)
         body, camera = as_mesh(mesh), None

@@ -12,8 +12,10 @@ from torchmat.create.controls import brightness_contrast, check_picture, darkene
 from torchmat.create.specular_maps import specular_map, tilt_curve
 from torchmat.errors import ShapeError, message
 from torchmat.geometry import relief_from_picture
+from torchmat.geometry.tiling import AUTO_TILES, check_tiles, tiling_of
 from torchmat.models.distribution import Distribution
 from torchmat.models.storage import StoredAs
+from torchmat.progress import phase
 
 _WHERE = "material_from_picture"
 
@@ -22,7 +24,7 @@ def material_from_picture(
     picture: Tensor, *, lobes: int = 1, specular: Sequence[str | Tensor] = ("glossy",),
     mask_brightness: float | None = 0.0, mask_contrast: float = 1.0, fresnel_brightness: float | None = -0.43,
     fresnel_contrast: float = 0.1, darken: float = 0.2, height_scale: float = 0.05, softness: float = 0.0,
-    rotation_centres: Sequence[Sequence[float]] = (), tilt: str | Tensor | None = None, tiles: bool = False,
+    rotation_centres: Sequence[Sequence[float]] = (), tilt: str | Tensor | None = None, tiles: bool | str = AUTO_TILES,
     storage: str = "paint8", seed: int = 0,
 ) -> Distribution:
     """Return the material that an evenly lit `picture` [3, H, W], linear and >= 0, suggests.
@@ -34,13 +36,15 @@ def material_from_picture(
     brightness and contrast (None for the brightness: no such map); by default r0 is 0.02 to 0.12, as of what is no
     metal, and the mask the luminance itself. Diffuse is the picture less the share `darken`.
     `rotation_centres` (u, v) turn the lookup about them, `tilt` is a name or a curve [1, 1, 91]; without them there
-    is no such map. The codes of the textures span what each map can be (`storage` "paint8" and "paint16"), the height's
+    is no such map. `tiles` says whether it repeats, "auto" asks the picture (`tiling_of`). The codes of the textures span what each map can be (`storage` "paint8" and "paint16"), the height's
     from black to white. Raises RangeError or ShapeError, naming what does not fit. Liao 2011 darkens and adjusts 8-bit
     codes; here all is linear light, but for the height, which is taken from what people see.
     """
     check_picture(_WHERE, picture)
     picture = picture.detach().float()
     size = (picture.shape[1], picture.shape[2])
+    check_tiles(_WHERE, tiles)
+    repeats = tiling_of(picture[None]).repeats if tiles == AUTO_TILES else bool(tiles)
     shapes = _specular(specular, lobes)
     grey = colour.luminance(picture)[None]
     maps = {"diffuse": darkened(picture, darken)}
@@ -51,7 +55,8 @@ def material_from_picture(
         if fresnel_brightness is not None:
             maps["fresnel"] = brightness_contrast(grey, fresnel_brightness, fresnel_contrast)
     if lobes > 1:
-        maps["index"] = segments(picture, lobes, softness=softness, seed=seed)
+        with phase("finding colours"):
+            maps["index"] = segments(picture, lobes, softness=softness, seed=seed)
     if len(rotation_centres):
         maps["rotation"] = draw_360(size, rotation_centres)
     if tilt is not None:
@@ -59,9 +64,9 @@ def material_from_picture(
     stored = {}
     if height_scale != 0:
         shown = colour.display(picture)
-        maps["height"] = relief_from_picture(shown, height_scale, tiles=tiles).height
+        maps["height"] = relief_from_picture(shown, height_scale, tiles=repeats).height
         stored["height"] = black_to_white(colour.luminance(shown), height_scale)
-    return assemble(maps, lobes, tiles, storage, stored)
+    return assemble(maps, lobes, repeats, storage, stored)
 
 
 def black_to_white(share: Tensor, height_scale: float) -> StoredAs:

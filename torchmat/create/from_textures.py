@@ -16,8 +16,10 @@ from torchmat.create.textures import find_textures, read_textures
 from torchmat.errors import DataError, RangeError, check_finite, message
 from torchmat.geometry import normals_from_slopes, slopes_from_height, slopes_from_normals
 from torchmat.geometry.normals import check_height_scale
+from torchmat.geometry.tiling import AUTO_TILES, check_tiles, tiling_of
 from torchmat.models.distribution import Distribution
 from torchmat.models.storage import StoredAs
+from torchmat.progress import in_command, phase, progress
 
 _WHERE = "material_from_textures"
 DIELECTRIC = 0.04  # r0 of a refractive index of 1.5
@@ -30,7 +32,7 @@ _FINE = 4  # samples a texel and axis: the peak of a sharp lobe is averaged over
 
 def material_from_textures(
     folder: str | Path, *, lobes: int = 3, height_scale: float | None = None, occlusion: bool = False, size: int = _SIZE,
-    tiles: bool = True, storage: str = "paint8", say: Callable[[str], None] | None = None,
+    tiles: bool | str = AUTO_TILES, storage: str = "paint8", say: Callable[[str], None] | None = None,
 ) -> Distribution:
     """Return the material of a folder of textures, named as vendors name them (see `find_textures`).
 
@@ -42,7 +44,7 @@ def material_from_textures(
     to the largest that occurs, and an index that blends the two nearest; r0 is 0.04, of metal its colour, or that of a
     specular texture, and a mask of three channels tints it. Without roughness a metal has 0.5, anything
     else no specular part. What is cut out (`opacity`) keeps the mean of the rest, so that no average sees it. Only what
-    the files give is there. Masking and shadowing of microfacets is left to the model's D. `say` is called with a line
+    the files give is there. `tiles` says whether they repeat, "auto" asks the colour. Masking and shadowing of microfacets is left to the model's D. `say` is called with a line
     for each thing that the files do not state. Raises DataError, ShapeError or RangeError naming the file, RangeError for
     a control out of range.
     """
@@ -51,6 +53,7 @@ def material_from_textures(
             raise RangeError(message(_WHERE, name, "be a whole number from 1", f"it is {number!r}"))
     say = say or (lambda line: None)
     textures = _filled(read_textures(find_textures(folder)))
+    tiles, told = _repeats(textures["color"], tiles)
     colour, metal = textures["color"], textures.get("metalness")
     maps = {"diffuse": colour if metal is None else colour * (1 - metal)}
     if occlusion:
@@ -58,7 +61,10 @@ def material_from_textures(
             step = "Add one whose name ends in _AmbientOcclusion, or leave the occlusion out."
             raise DataError(message(str(folder), "the folder", "hold an occlusion texture", "it holds none", step))
         maps["diffuse"] = maps["diffuse"] * textures["ambientocclusion"]
-    shape, stored = _shape(folder, textures, height_scale, tiles, say)
+    with phase("bringing height and normals together"):
+        shape, stored = _shape(folder, textures, height_scale, tiles, say)
+    for line in told:
+        say(line)
     maps |= shape
     if "opacity" in textures:
         maps["opacity"] = textures["opacity"]
@@ -68,12 +74,23 @@ def material_from_textures(
         say(f"roughness: no file gives it; {_ROUGHNESS} is taken")
     if rough is None:
         return assemble(maps, 0, tiles, storage, stored)
-    levels, index = quantised(rough, lobes)
+    with phase("choosing roughnesses"):
+        levels, index = quantised(rough, lobes)
     maps |= _reflectance(colour, metal, textures.get("f0"))
-    maps["specular"] = torch.cat([ggx_lobe(float(level), size) for level in levels])
+    drawn = progress(levels, "computing specular maps", show=in_command())
+    maps["specular"] = torch.cat([ggx_lobe(float(level), size) for level in drawn])
     if len(levels) > 1:
         maps["index"] = index
     return assemble(maps, len(levels), tiles, storage, stored)
+
+
+def _repeats(colour: Tensor, tiles: bool | str) -> tuple[bool, list[str]]:
+    """Return whether the textures repeat, and a line on it where nobody says so."""
+    check_tiles(_WHERE, tiles)
+    if tiles != AUTO_TILES:
+        return bool(tiles), []
+    found = tiling_of(colour[None])
+    return found.repeats, [f"tiles: {found.sentence()}"]
 
 
 def _filled(textures: dict[str, Tensor]) -> dict[str, Tensor]:

@@ -16,6 +16,7 @@ from torchmat.create.texture_names import KINDS, PACKED, kind_of
 from torchmat.errors import DataError, RangeError, ShapeError, check_finite, message
 from torchmat.geometry.normals import flip_green
 from torchmat.images import IMAGE_SUFFIXES
+from torchmat.progress import in_command, progress
 
 _UNREAD = frozenset({".webp", ".psd", ".dds", ".ktx", ".ktx2", ".jxl", ".avif", ".tx", ".heic", ".gif", ".jp2"})
 _COLOURED = 0.02  # of a code: a grey file saved as JPEG stays below it
@@ -189,7 +190,7 @@ def read_textures(found: TextureSet) -> dict[str, Tensor]:
     level, it is 0.08 f0. Raises ShapeError, which names the file, when one has another size than the colour.
     """
     textures: dict[str, Tensor] = {}
-    for kind in sorted(found.files, key=lambda kind: kind != "color"):
+    for kind in progress(sorted(found.files, key=lambda kind: kind != "color"), "reading textures", show=in_command()):
         name, texture = _read_one(found, kind)
         size = tuple(textures.get("color", texture).shape[1:])
         if tuple(texture.shape[1:]) != size:

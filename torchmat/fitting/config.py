@@ -5,7 +5,6 @@ from __future__ import annotations
 import copy
 import dataclasses
 import math
-import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -17,9 +16,11 @@ from torchmat.fitting.data_settings import DATA_KEYS, check_data_settings
 from torchmat.fitting.geometry import check_word, is_path
 from torchmat.fitting.recipe import recipe_of
 from torchmat.fitting.recipes import AUTO, RECIPES, default_options, resolve_options
-from torchmat.fitting.wanted import make_target
+from torchmat.geometry.tiling import AUTO_TILES, check_tiles
+from torchmat.fitting.wanted import Target, make_target
+from torchmat.places import right_place
 from torchmat.shipped import find_file, shipped_names
-from torchmat.text_file import read_toml
+from torchmat.text_file import parse_value, read_toml
 
 
 @dataclass(frozen=True)
@@ -34,7 +35,7 @@ class FitConfig:
         seed: seed of the split and of the solvers, from 0.
         geometry: "flat", "recover", or the path of a height map; None is the model's own way (`Recipe.geometry`), and
             of the model "auto" leaves the relief to the data.
-        tiles: whether the surface repeats at its borders.
+        tiles: whether the surface repeats at its borders; "auto" asks the images (`tiling_of`).
         target: what is wanted: of "auto" `error` (relative), `psnr` (dB), `bytes` a texel; of any model `seconds`.
         tile_size: side, in texels, of the tiles that are fitted one after the other; 0 is no wish.
         memory_mb: what a fit may take, in MB, by tiles if need be; 0 is no wish.
@@ -47,7 +48,7 @@ class FitConfig:
     holdout_by: str = "pair"
     seed: int = 0
     geometry: str | None = None
-    tiles: bool = True
+    tiles: bool | str = AUTO_TILES
     target: dict[str, Any] = field(default_factory=dict)
     tile_size: int = 0
     memory_mb: float = 0.0
@@ -67,6 +68,7 @@ class FitConfig:
             step = f'Fit "{AUTO}" to let the model be chosen, or leave {others[0]} out.'
             raise RangeError(message("fit", others[0], f'be wanted of the model "{AUTO}"', f"it is {self.model}", step))
         check_data_settings(self.data)
+        check_tiles("config", self.tiles)
         check_option("config", "holdout_by", self.holdout_by, HOLDOUT_WAYS)
         if not 0 <= self.holdout < 1:
             step = "It is the share that is held out; 0.2 is usual."
@@ -88,10 +90,10 @@ class FitConfig:
 def _typed(where: str, table: dict[str, Any]) -> dict[str, Any]:
     kinds: dict[str, Any] = {
         "model": str, "options": dict, "holdout": (int, float), "holdout_by": str, "seed": int, "geometry": str,
-        "tiles": bool, "target": dict, "tile_size": int, "memory_mb": (int, float), "data": dict,
+        "tiles": (bool, str), "target": dict, "tile_size": int, "memory_mb": (int, float), "data": dict,
     }
     for key, value in table.items():
-        if not isinstance(value, kinds[key]) or (isinstance(value, bool) and kinds[key] is not bool):
+        if not isinstance(value, kinds[key]) or (isinstance(value, bool) and key != "tiles"):
             wanted = getattr(kinds[key], "__name__", "number")
             raise RangeError(message(where, key, f"be a {wanted}", f"it is {value!r}"))
     return table
@@ -102,7 +104,8 @@ def make_config(table: dict[str, Any], where: str = "config") -> FitConfig:
 
     Every error begins with `where`, the file that the table comes from.
     """
-    check_known_keys(where, table, [f.name for f in dataclasses.fields(FitConfig)])
+    model = table.get("model", FitConfig.model)
+    check_known_keys(where, table, [f.name for f in dataclasses.fields(FitConfig)], lambda key: _place(key, model))
     given = _typed(where, table)
     try:
         return FitConfig(**given)
@@ -140,12 +143,12 @@ def is_config(name: object) -> bool:
     return isinstance(name, str) and (bool(Path(name).suffix) or len(Path(name).parts) > 1)
 
 
-def parse_value(text: str) -> Any:
-    """Return the TOML value that `text` stands for; what is not TOML counts as a plain string."""
-    try:
-        return tomllib.loads(f"v = {text.strip()}")["v"]
-    except (ValueError, RecursionError):
-        return text.strip()
+def _place(key: str, model: object) -> str:
+    """Return where a key belongs that stands beside the model, as `right_place` says it."""
+    options = {name: tuple(recipe.options) for name, recipe in RECIPES.items()}
+    fields = [field.name for field in dataclasses.fields(FitConfig)]
+    tables = {"target": [field.name for field in dataclasses.fields(Target)], "data": DATA_KEYS}
+    return right_place(key, str(model), options, fields, tables)
 
 
 def _override(table: dict[str, Any], text: str) -> None:
@@ -157,7 +160,7 @@ def _override(table: dict[str, Any], text: str) -> None:
     fields = [field.name for field in dataclasses.fields(FitConfig)]
     if not parents and key not in fields:
         options = default_options(table.get("model", FitConfig.model))
-        check_known_keys("--set", [key], (*fields, *options))
+        check_known_keys("--set", [key], (*fields, *options), lambda key: _place(key, table.get("model", FitConfig.model)))
         parents = ["options"]
     for parent in parents:
         table = table.setdefault(parent, {})

@@ -16,6 +16,7 @@ from torchmat.metrics import SampleErrors
 from torchmat.models import Material
 from torchmat.models.edit import resized
 from torchmat.progress import progress as progress_bar
+from torchmat.progress import working
 
 BAND_DEG = 15
 # SSIM and CIEDE2000 cost far more than the rest: an even choice of samples, of large images the middle, is enough.
@@ -154,7 +155,8 @@ def evaluate_parts(
         step = "Give holdout=0.2; report['train'] has the errors on samples that the fit saw."
         return report | {part: NotMeasured(part, "no samples are held out", step) for part in SPLITS[1:]}, None
     report["held_out"] = held_out.report
-    report["held_out_after_export"] = evaluate(material.as_exported(), btf, split.held_out, few, progress).report
+    with working("measuring after export", progress):
+        report["held_out_after_export"] = evaluate(material.as_exported(), btf, split.held_out, few, progress).report
     return report, held_out
 
 

@@ -16,6 +16,7 @@ from torch import Tensor
 from torchmat.btf import Btf, Split, split_samples
 from torchmat.btf.lambert import lambert_of
 from torchmat.btf.lit import paired_lights
+from torchmat.btf.tiling import decided
 from torchmat.errors import RangeError, check_option, message
 from torchmat.fitting.choice.choose import fit_auto
 from torchmat.fitting.config import FitConfig, load_config
@@ -36,6 +37,7 @@ from torchmat.geometry import Relief
 from torchmat.machine import peak_memory_mb, versions
 from torchmat.models import Material
 from torchmat.models.masked import cut_out
+from torchmat.progress import working
 from torchmat.scene_use import SceneUse, Usable, as_use
 from torchmat.solvers.clock import Watch
 
@@ -78,7 +80,7 @@ def fit(
     holdout_by: str | None = None,
     seed: int | None = None,
     geometry: Geometry | str | Path | Tensor | np.ndarray | None = None,
-    tiles: bool | None = None,
+    tiles: bool | str | None = None,
     error: float | None = None,
     psnr: float | None = None,
     bytes: float | None = None,
@@ -110,7 +112,7 @@ def fit(
             [1, H, W] in texture widths over the plane of the images, or the path of one, is taken as it is. None is the
             config's, or the model's own way (`Recipe.geometry`): "recover" for "distribution" and "neural", where there is
             anything to recover it from, and "flat" for most.
-        tiles: whether the surface repeats at its borders; usually True.
+        tiles: whether the surface repeats at its borders; usually "auto", which asks the images and says so in the report.
         error, psnr: of "auto", the relative error or the dB on held-out samples that the smallest material must reach.
         bytes: of "auto", the most bytes a texel, shared tables included.
         seconds: what the fit may take; an iterative solver then stops with the best so far.
@@ -146,9 +148,10 @@ def fit(
         task = _by_name(model, given, wanted, geometry, options, scene, work)
     config = task.config
     split = split_samples(btf, config.holdout, config.holdout_by, config.seed)
+    tiles, tiling = decided("fit", btf, config.tiles)
     watch = Watch(config.target.get("seconds", math.inf), _held_out_error(btf, split) if curve else None)
-    training = make_training(btf, split.train, config.seed, config.tiles, dtype, progress, watch)
-    with torch.no_grad():
+    training = make_training(btf, split.train, config.seed, tiles, dtype, progress, watch)
+    with torch.no_grad(), working(f"fitting {config.model if not isinstance(model, Material) else model.name}", progress):
         fitted = task.run(training)
         if task.scene is None:  # else it has cut out what it fitted
             fitted = replace(fitted, material=cut_out(fitted.material, btf.mask))
@@ -156,14 +159,18 @@ def fit(
     seconds = watch.seconds
     errors, held_out = nothing_measured(), None
     if how != NONE:
-        errors, held_out = evaluate_parts(btf, fitted.material, split, progress, quick=how == QUICK)
+        with working("measuring", progress):
+            errors, held_out = evaluate_parts(btf, fitted.material, split, progress, quick=how == QUICK)
     used = task.options if fitted.options is None else fitted.options
     ways = {"options": described(used), "geometry": task.geometry}
     figures = None if how == NONE else lambert_of(btf)
-    report = {**_described(btf, config, fitted), **ways, "fit_seconds": seconds, **errors, "curve": watch.history}
+    with working("measuring the speed", progress):
+        described_fit = _described(btf, config, fitted)
+    report = {**described_fit, **ways, "fit_seconds": seconds, **errors, "curve": watch.history}
     report["lambert_residual"] = figures and figures.report()
+    report |= {"tiles": tiles, "tiling": tiling and tiling.report()}
     if task.scene is not None:
-        report["scene"] = scene_figures(btf, fitted, split, task.scene, config.tiles, how != NONE, progress)
+        report["scene"] = scene_figures(btf, fitted, split, task.scene, tiles, how != NONE, progress)
     if work is not None:
         clear_work(work)
     return FitResult(
@@ -231,7 +238,7 @@ def _described(btf: Btf, config: FitConfig, fitted: Fitted) -> dict[str, Any]:
     material = fitted.material
     return {
         "model": material.name, "samples": len(btf), "texels": btf.height * btf.width, "seed": config.seed,
-        "holdout": config.holdout, "holdout_by": config.holdout_by, "tiles": config.tiles, "target": config.target,
+        "holdout": config.holdout, "holdout_by": config.holdout_by, "target": config.target,
         "data": config.data,
         "bytes_per_texel": material.bytes_per_texel, "shared_bytes": material.shared_bytes,
         "load_seconds": btf.source.load_seconds, "shade_mtexels_per_s": shading_rate(material),

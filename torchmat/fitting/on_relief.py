@@ -17,6 +17,7 @@ from torchmat.fitting.relief.recover import recover_relief
 from torchmat.fitting.relief.surface import Sight, ambient_and_usual, bring_onto, without_shadow
 from torchmat.fitting.relief.window import Window
 from torchmat.fitting.training import Fitted, Training
+from torchmat.progress import working
 from torchmat.solvers.clock import Watch
 from torchmat.solvers.stop_reasons import BUDGET
 
@@ -69,7 +70,8 @@ def fit_with_geometry(
         return fit_flat(training, model, options)
     start = time.perf_counter()
     try:
-        recovery = recover_relief(recovered_from or training)
+        with working("recovering the relief", training.progress):
+            recovery = recover_relief(recovered_from or training)
     except (FitError, RangeError) as error:
         if not geometry.or_flat:
             raise
@@ -82,7 +84,8 @@ def fit_with_geometry(
     if not raised or training.watch.spent:
         chosen = "flat"
     else:
-        chosen, compared = compare_with_flat(training, model, options, height)
+        with working("comparing the relief with a flat surface", training.progress):
+            chosen, compared = compare_with_flat(training, model, options, height)
         figures |= {"chosen": chosen, "validation_psnr_db": compared}
     if chosen == "flat":
         fitted = fit_flat(training, model, options)

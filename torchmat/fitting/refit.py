@@ -20,6 +20,7 @@ from torchmat.fitting.from_material import Descending, check_free, kept_names, o
 from torchmat.fitting.objective import Residual, described
 from torchmat.fitting.training import Fitted, make_training
 from torchmat.models import Material
+from torchmat.progress import working
 from torchmat.solvers import Minibatch, Solver, Stepping
 
 _CHECKED = 512  # training samples on which the new maps must be the better ones
@@ -116,5 +117,6 @@ def _better(after: dict[str, Any], before: dict[str, Any]) -> bool:
 
 
 def _measured(material: Material, btf: Btf, split: Split, progress: bool | None) -> dict[str, Any]:
-    held_out = evaluate(material, btf, split.held_out, None, progress).report if len(split.held_out) else None
-    return {"train": evaluate(material, btf, split.train, _CHECKED, progress).report, "held_out": held_out}
+    with working("measuring", progress):
+        held_out = evaluate(material, btf, split.held_out, None, progress).report if len(split.held_out) else None
+        return {"train": evaluate(material, btf, split.train, _CHECKED, progress).report, "held_out": held_out}

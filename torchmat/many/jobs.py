@@ -13,6 +13,7 @@ from torchmat.fitting import FitConfig, load_config
 from torchmat.fitting.config import is_config
 from torchmat.fitting.objective import described
 from torchmat.fitting.recipes import AUTO, resolve_options
+from torchmat.geometry.tiling import AUTO_TILES
 from torchmat.report.tables import to_json
 from torchmat.shipped import find_file
 from torchmat.text_file import read_toml
@@ -55,6 +56,7 @@ class Job:
         if config.model != AUTO:
             wanted |= {"model": config.model, "options": described(resolve_options(config.model, config.options))}
         wanted = json.loads(to_json(wanted))  # as a report holds it
+        report = {**report, "tiles": AUTO_TILES if report.get("tiling") else report.get("tiles")}  # as it was asked for
         same = chosen == (config.model == AUTO) and all(report.get(name) == value for name, value in wanted.items())
         source = report.get("source", {}).get("path", "")
         return report if same and Path(source).resolve() == self.data.resolve() else None

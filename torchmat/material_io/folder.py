@@ -23,6 +23,7 @@ from torchmat.machine import package_version
 from torchmat.material_io.exporter import LOSS, Exporter, Losses, exporter_of_file
 from torchmat.models import Material
 from torchmat.models.storage import STORAGES, Codes, MapSpec, StoredTexture, check_map
+from torchmat.progress import phase
 from torchmat.text_file import read_json
 from torchmat.written import files_below, write_record
 
@@ -161,7 +162,8 @@ def save_material(
         exporter.write_whole(material, target, {}, provenance, backup=exporter.check_file(target, force, unknown=True))
         return target
     with atomic.building(target, backup=check_target(target, force)) as building:
-        manifest = write_material(material, building, provenance)
+        with phase("writing textures"):
+            manifest = write_material(material, building, provenance)
         if companions is not None:
             before = set(files_below(building))
             companions(building)

@@ -13,7 +13,7 @@ from torchmat.fitting.evaluate import MEASURES
 from torchmat.fitting.geometry import resolve_geometry
 from torchmat.fitting.recipe import RECIPES, Recipe
 from torchmat.fitting.recipes import resolve_options
-from torchmat.progress import progress as progress_bar
+from torchmat.progress import whole
 from torchmat.report.compare_plots import PLOTS, write_plots
 from torchmat.report.compare_rows import Entry, Setting, entry_of, judged, make_row, mark_fronts, parse_model
 from torchmat.report.html import comparison_page
@@ -87,10 +87,13 @@ def compare(
     split_samples(btf, holdout, holdout_by, seed)  # what is wrong with the split is no model's failure
     setting = Setting({"holdout": holdout, "holdout_by": holdout_by, "seed": seed}, budget, repeats, curves, measure == MEASURES[1])
     rows: list[dict[str, Any]] = []
-    for entry in progress_bar(entries, "comparing", total=len(entries), show=progress):
-        rows = mark_fronts([*rows, make_row(btf, entry, setting)])
-        if each is not None:
-            each(rows)
+    with whole("comparing", len(entries), show=progress) as bar:
+        for number, entry in enumerate(entries, 1):
+            bar.what = f"comparing {entry.model} ({number} of {len(entries)})"
+            rows = mark_fronts([*rows, make_row(btf, entry, setting)])
+            if each is not None:
+                each(rows)
+            bar.advance()
     return rows
 
 

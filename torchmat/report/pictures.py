@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ from torchmat.btf import Btf
 from torchmat.errors import DataError, message
 from torchmat.fitting import FitResult, predict
 from torchmat.geometry import Relief, normals_from_slopes, slopes_from_height
+from torchmat.progress import progress
 from torchmat.rendering import render
 
 DPI = 120
@@ -192,19 +194,21 @@ def mask_picture(btf: Btf, path: Path) -> Path | None:
     return save_figure(figure, path)
 
 
-def write_pictures(btf: Btf, result: FitResult, folder: Path) -> list[Path]:
-    """Write all pictures of a fit into `folder`; return their paths."""
-    written = [
-        comparison_picture(btf, result, folder / "comparison.png"),
-        angle_picture(result, folder / "error_by_angle.png"),
-        sphere_picture(result, folder / "sphere.png"),
-        coverage_picture(result, folder / "coverage.png", btf.mask),
-        history_picture(result, folder / "error_by_seconds.png"),
-        directions_picture(btf, folder / "directions.png"),
-        mask_picture(btf, folder / "object_mask.png"),
+def write_pictures(btf: Btf, result: FitResult, folder: Path, show: bool | None = False) -> list[Path]:
+    """Write all pictures of a fit into `folder`; return their paths. `show` the progress, None on a terminal only."""
+    drawings: list[Callable[[], Path | None]] = [
+        lambda: comparison_picture(btf, result, folder / "comparison.png"),
+        lambda: angle_picture(result, folder / "error_by_angle.png"),
+        lambda: sphere_picture(result, folder / "sphere.png"),
+        lambda: coverage_picture(result, folder / "coverage.png", btf.mask),
+        lambda: history_picture(result, folder / "error_by_seconds.png"),
+        lambda: directions_picture(btf, folder / "directions.png"),
+        lambda: mask_picture(btf, folder / "object_mask.png"),
     ]
     if result.material.has_relief:
-        written += [relief_picture(_relief_of(result), folder / "relief.png"), oblique_picture(btf, result, folder / "oblique.png")]
+        drawings.append(lambda: relief_picture(_relief_of(result), folder / "relief.png"))
+        drawings.append(lambda: oblique_picture(btf, result, folder / "oblique.png"))
+    written = [draw() for draw in progress(drawings, "drawing pictures", show=show)]
     return [path for path in written if path is not None]
 
 

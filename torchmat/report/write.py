@@ -12,6 +12,7 @@ from torchmat.fitting.evaluate import comparable
 from torchmat.frames import half_vector
 from torchmat.material_io import packed, save_material
 from torchmat.models import Distribution, Material
+from torchmat.progress import in_command, phase
 from torchmat.report.decisions_page import decisions_picture, decisions_text
 from torchmat.report.html import fit_page
 from torchmat.report.maps import hemisphere_picture, maps_picture
@@ -39,15 +40,24 @@ def write_fit(
         if choice:
             (building / "decisions.txt").write_text(decisions_text(choice), encoding="utf-8")
         if pictures:
-            written = write_pictures(btf, pictured, building / "pictures")
-            half = half_vector(btf.lights[:, None], btf.views[None], dim=-1).flatten(0, 1)
-            written.append(maps_picture(result.material, building / "pictures" / "maps.png", half))
-            written.append(hemisphere_picture(result.material, building / "pictures" / "hemisphere.png"))
+            written = _fit_pictures(btf, pictured, result, building / "pictures")
             if choice:
                 written.insert(0, decisions_picture(choice, building / "pictures" / "decisions.png"))
-            (building / "report.html").write_text(fit_page(report, written), encoding="utf-8")
+            with phase("writing the report"):
+                (building / "report.html").write_text(fit_page(report, written), encoding="utf-8")
 
     return save_material(result.material, folder, _provenance(result.report), companions, force)
+
+
+def _fit_pictures(btf: Btf, pictured: FitResult, result: FitResult, folder: Path) -> list[Path]:
+    """Write the pictures of a fit, `pictured` in the size of the images; return their paths."""
+    with phase("drawing pictures"):
+        written = write_pictures(btf, pictured, folder, in_command())
+    half = half_vector(btf.lights[:, None], btf.views[None], dim=-1).flatten(0, 1)
+    with phase("drawing the maps"):
+        written.append(maps_picture(result.material, folder / "maps.png", half))
+        written.append(hemisphere_picture(result.material, folder / "hemisphere.png"))
+    return written
 
 
 def write_edited(
@@ -64,8 +74,9 @@ def write_edited(
             (building / "report.json").write_text(to_json(report), encoding="utf-8")
         if pictures:
             (building / "pictures").mkdir()
-            maps_picture(material, building / "pictures" / "maps.png")
-            hemisphere_picture(material, building / "pictures" / "hemisphere.png")
+            with phase("drawing the maps"):
+                maps_picture(material, building / "pictures" / "maps.png")
+                hemisphere_picture(material, building / "pictures" / "hemisphere.png")
 
     return save_material(material, folder, provenance, companions, force)
 
@@ -74,7 +85,8 @@ def _with_packing(btf: Btf, result: FitResult) -> dict[str, Any]:
     """Return the report; of a material that can be packed, with its held-out error after packing."""
     if not isinstance(result.material, Distribution) or not result.report.get("held_out"):
         return result.report
-    after = evaluate(packed(result.material), btf, result.split.held_out).report
+    with phase("measuring after packing"):
+        after = evaluate(packed(result.material), btf, result.split.held_out).report
     return {**result.report, "held_out_after_packing": after}
 
 

@@ -217,7 +217,7 @@ def lbfgs(
         return torch.tensor(scale * (value if good else _WALL * best.found.value) if scale else 1.0, dtype=torch.float64)
 
     solver, recoveries = _new_lbfgs(parameters, first_step), 0
-    for _ in progress(range(-(-steps // _STEPS_A_CALL)), "fitting", show=show):
+    for _ in progress(range(-(-steps // _STEPS_A_CALL)), "fitting", show=show, each=_STEPS_A_CALL):
         before, finite = best.found.value, True
         try:
             solver.step(closure)

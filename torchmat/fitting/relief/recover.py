@@ -19,14 +19,16 @@ from torch import Tensor
 
 from torchmat import frames
 from torchmat.btf import Btf
+from torchmat.btf.tiling import decided
 from torchmat.errors import FitError, message
 from torchmat.fitting.relief.agreement import Agreement, Captured, agreement, capture, on_surface
 from torchmat.fitting.relief.refine import image_gradient, limited
 from torchmat.fitting.training import Training, make_training
 from torchmat.geometry import Relief, Stereo, photometric_stereo, poisson, slopes_from_normals
 from torchmat.geometry.normals import pad_border
+from torchmat.geometry.tiling import AUTO_TILES
 from torchmat.geometry.from_photographs import relief_from_stereo
-from torchmat.progress import progress
+from torchmat.progress import Activity, progress, whole
 from torchmat.repeatable import one_thread, product
 from torchmat.solvers.clock import Watch
 from torchmat.solvers.stop_reasons import BUDGET, CONVERGED
@@ -37,6 +39,7 @@ _FEWEST_VIEWS, _FEWEST_SAMPLES = 6, 24  # below, there is no parallax to speak o
 _WIDEST = 0.3  # and none if no view leans further than this (tangent of its polar angle)
 _GAIN = 0.98  # a relief must bring the disagreement of the images below this share of a flat surface's
 _REFINEMENTS = 4
+_SEARCHED = 35  # heights that the search looks at: 13, then by turns 6 and 5
 _COMPARISONS = 45  # of all images on a height, that is what search and refinement take
 _SHARE = 0.5  # of a limit of seconds: the rest is for what is fitted on the relief
 # A slope of photometric stereo is off by so much, and steep ones by so much of themselves.
@@ -102,7 +105,8 @@ def recover_relief(training: Training) -> Recovery:
     start = _shrink(found.height, size).float()  # views are compared in single precision, whatever the fit runs in
     start = start - (start if coarse.mask is None else start[:, coarse.mask]).mean()
     captured, flat = _in_time(captured, start, training.watch, until)
-    scale, offset, best = _search(captured, start, flat, training.progress, training.watch, until)
+    with whole("finding scale and offset", _SEARCHED, show=training.progress) as bar:
+        scale, offset, best = _search(captured, start, flat, bar, training.watch, until)
     level = Recovery(
         _flattened(found), "photometric stereo and views", 0.0, 0.0, "agreement of the views",
         BUDGET if training.watch.seconds >= until else CONVERGED, flat, flat, len(captured.images),
@@ -126,19 +130,20 @@ def recover_relief(training: Training) -> Recovery:
 
 
 def recover_geometry(
-    btf: Btf, *, tiles: bool = True, seed: int = 0, dtype: torch.dtype = torch.float32, progress: bool | None = None
+    btf: Btf, *, tiles: bool | str = AUTO_TILES, seed: int = 0, dtype: torch.dtype = torch.float32, progress: bool | None = None
 ) -> Recovery:
     """Recover height and normals of a BTF from all its samples; see `recover_relief`.
 
     Args:
         btf: the images.
-        tiles: whether the surface repeats at its borders.
+        tiles: whether the surface repeats at its borders; "auto" asks the images.
         seed: chooses the samples that are looked at, from 0.
         dtype: precision of the search, torch.float32 or torch.float64.
         progress: whether to show a bar; None shows it on a terminal.
     """
     with torch.no_grad():
-        return recover_relief(make_training(btf, torch.arange(len(btf)), seed, tiles, dtype, progress))
+        repeats, _ = decided("recover_geometry", btf, tiles)
+        return recover_relief(make_training(btf, torch.arange(len(btf)), seed, repeats, dtype, progress))
 
 
 def _in_time(captured: Captured, height: Tensor, watch: Watch, until: float) -> tuple[Captured, float]:
@@ -206,7 +211,7 @@ def _shrunk_mask(mask: Tensor | None, size: Sequence[int]) -> Tensor | None:
 
 
 def _search(
-    captured: Captured, shape: Tensor, flat: float, show: bool | None, watch: Watch, until: float
+    captured: Captured, shape: Tensor, flat: float, bar: Activity, watch: Watch, until: float
 ) -> tuple[float, float, float]:
     """Return scale, offset and disagreement of the best height ``scale * shape + offset``.
 
@@ -219,11 +224,13 @@ def _search(
     def error(scale: float, offset: float) -> float:
         if watch.seconds >= until:
             raise _Spent
-        return agreement(captured, scale * shape + offset).error
+        found = agreement(captured, scale * shape + offset).error
+        bar.advance()
+        return found
 
     scale, offset, best = 0.0, 0.0, flat
     try:
-        for turn in progress(range(5), "finding scale and offset", show=show):
+        for turn in range(5):
             if turn == 0:
                 offset, best = _lowest(lambda x: error(1.0, x), [span * step / 4 for step in range(-6, 7)])
                 scale = 1.0

@@ -8,6 +8,7 @@ nor all that matters. Between rounds of Adam the height moves to where the appea
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
@@ -25,7 +26,7 @@ from torchmat.fitting.relief.surface import Surface, bring_onto
 from torchmat.fitting.training import Fitted, Training
 from torchmat.geometry import normals_from_slopes
 from torchmat.models import Distribution
-from torchmat.progress import progress
+from torchmat.progress import Activity, whole, working
 from torchmat.solvers import LBFGS, Adam, Descent, Minibatch, Problem, Stepping
 from torchmat.solvers.clock import Watch
 from torchmat.solvers.multiplicative import sweep
@@ -97,9 +98,11 @@ class _Fit:
         self.objective = Objective(self.options.objective, self.level)
 
     def run(self) -> Fitted:
-        starts = find_starts(self.surface, self.level)
+        with working("finding where to start", self.surface.training.progress):
+            starts = find_starts(self.surface, self.level)
         parts, pilots = self._choose(starts)
-        raw = self._begin(starts, parts)
+        with working("taking the first steps", self.surface.training.progress):
+            raw = self._begin(starts, parts)
         # A part of the texels does not say where the height of the whole wants to go.
         moves = self.height is not None and self.surface.window is None
         found = self._rounds(raw, parts, _ROUNDS if moves else (sum(_ROUNDS),))
@@ -110,18 +113,30 @@ class _Fit:
     def _rounds(self, raw: dict[str, Tensor], parts: Parts, rounds: tuple[int, ...]) -> Descent:
         """Solve for all maps, moving the height between rounds; a limit of seconds is shared out as the steps are."""
         taken, watch = 0, self.surface.training.watch
-        for number, steps in enumerate(rounds):
+        solvers = [self._solver(steps, sum(rounds), number > 0) for number, steps in enumerate(rounds)]
+        every = sum(solver.steps or 0 for solver in solvers)
+        with whole("fitting", every, "fitting", watch.limit - watch.seconds, self.surface.training.progress):
+            found, taken = self._each_round(raw, parts, rounds, solvers)
+        return replace(found, steps=taken)
+
+    def _each_round(
+        self, raw: dict[str, Tensor], parts: Parts, rounds: tuple[int, ...], solvers: list[Stepping]
+    ) -> tuple[Descent, int]:
+        """Return the descent of the last round that there was time for, and the steps of all."""
+        taken, watch = 0, self.surface.training.watch
+        for number, (steps, solver) in enumerate(zip(rounds, solvers, strict=True)):
             if number > 0 and not watch.spent:
-                self._move_height(raw, parts)
+                with working("moving the height", self.surface.training.progress):
+                    self._move_height(raw, parts)
             now, share = watch.seconds, steps / sum(rounds[number:])
             samples = torch.arange(len(self.surface.training.btf))
             until = now + (watch.limit - now) * share
-            found = self._solve(raw, parts, self._solver(steps, sum(rounds), number > 0), samples, until, watch)
+            found = self._solve(raw, parts, solver, samples, until, watch)
             taken += found.steps
             self.history += found.history
             if found.reason in (NOT_FINITE, DIVERGED) or watch.spent:
                 break
-        return replace(found, steps=taken)
+        return found, taken
 
     @property
     def _rate(self) -> float:
@@ -200,16 +215,24 @@ class _Fit:
         parts = Parts(lobes, **asked, normal=given.normal, specular_mask=given.specular_mask)
         if lobes == 0:
             return parts, []
-        trials = [lambda p, n=name: replace(p, **{n: True}) for name in optional if getattr(given, name) == "auto"]
+        trials: list[Callable[..., Parts]] = [lambda p, n=name: replace(p, **{n: True}) for name in optional if getattr(given, name) == "auto"]
         if given.lobes == "auto":
             trials += [lambda p, k=k: replace(p, lobes=k) if p.lobes == k - 1 else p for k in range(2, _MOST_LOBES + 1)]
         if not trials or len(self.surface.training.btf) < 20:
             return parts, []
+        with whole("choosing parts", (len(trials) + 1) * self._pilot_steps, "fitting", show=self.surface.training.progress) as bar:
+            return self._climb(starts, parts, trials, bar)
+
+    def _climb(
+        self, starts: dict[str, Tensor], parts: Parts, trials: Sequence[Callable[..., Parts]], bar: Activity
+    ) -> tuple[Parts, list[dict[str, Any]]]:
+        """Return `parts` with those of the `trials` that pay, and what was tried."""
         best = self._pilot(starts, parts)
-        log = [{"parts": parts.names, "lobes": parts.lobes, "psnr_db": best, "kept": True}]
-        for trial in progress(trials, "choosing parts", show=self.surface.training.progress):
+        log: list[dict[str, Any]] = [{"parts": parts.names, "lobes": parts.lobes, "psnr_db": best, "kept": True}]
+        for trial in trials:
             rival = trial(parts)
             if rival == parts:
+                bar.advance(self._pilot_steps)
                 continue
             found = self._pilot(starts, rival)
             kept = found > best + _GAIN_DB
@@ -228,8 +251,7 @@ class _Fit:
         raw = self._begin(starts, parts)
         # No pilot is noted: the curve is that of the fit.
         until = training.watch.seconds + training.watch.limit * _PILOTS_SHARE
-        steps = max(1, round(_PILOT * min(1, self.options.effort)))
-        self._solve(raw, parts, Minibatch(steps, self._rate), order[len(back):], until, None)
+        self._solve(raw, parts, Minibatch(self._pilot_steps, self._rate), order[len(back):], until, None)
         error, count = torch.zeros(btf.height, btf.width, dtype=torch.float64), 0.0
         for rows in back[:200].split(max(1, BLOCK_VALUES // (3 * btf.height * btf.width))):
             values, valid = self.surface.values(rows)
@@ -238,6 +260,10 @@ class _Fit:
             error += (gap.square() * valid).sum(dim=(0, 1)).double()
             count += float(valid.sum()) * 3
         return -10 * math.log10(max(float(error.sum()) / max(count, 1), 1e-12))
+
+    @property
+    def _pilot_steps(self) -> int:
+        return max(1, round(_PILOT * min(1, self.options.effort)))
 
     @property
     def _white(self) -> float:
@@ -290,7 +316,7 @@ class _Fit:
             parameters, objective, rates_of(raw), lambda generator: training.drawn(samples, generator), self._images,
             training.seed, least, until, watch or training.watch,
             (lambda: self._material(raw, parts)) if watch else None,
-            training.progress if watch else False,
+            training.progress,
         ))
         for value in parameters:
             value.requires_grad_(False).grad = None

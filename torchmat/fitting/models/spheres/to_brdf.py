@@ -19,6 +19,7 @@ from torchmat.fitting.training import Fitted
 from torchmat.models.sphere_images import (
     LARGEST_TURN, PAPER_ANGLES_DEG, SphereImages, below_each_other, check_isotropic, checked_angles, render_spheres,
 )
+from torchmat.progress import in_command, phase, progress
 from torchmat.solvers.stop_reasons import CONVERGED, STEP_LIMIT
 
 CURVES = ("each", "one", "paper")
@@ -55,10 +56,12 @@ def fit_sphere_images(
     history: list[tuple[float, float]] = []
     with torch.no_grad():
         if curves != "paper" or place:
-            solver, state = _begin(brdf, shape, seen, size, coarse, (curves != "paper", place), seed)
+            with phase("finding where the highlights lie"):
+                solver, state = _begin(brdf, shape, seen, size, coarse, (curves != "paper", place), seed)
             shape, reason, history = _fit_shape(solver, state, steps)
             history = [(seconds - start, error / lights) for seconds, error in history]
-        images, error = _fit_pictures(brdf, shape, seen, size, seed)
+        with phase("fitting the pictures"):
+            images, error = _fit_pictures(brdf, shape, seen, size, seed)
     history.append((time.perf_counter() - start, error / lights))
     material = _material(images, shape, storage)
     figures = {"angles_deg": material.options["angles_deg"], "error_at_fitted_lights": error / lights}
@@ -136,7 +139,7 @@ def _fit_shape(
 ) -> tuple[Shape, str, list[tuple[float, float]]]:
     """Return the shape after up to `steps`, why they stopped, and (time, error) after each."""
     history = [(time.perf_counter(), state.error)]
-    for _ in range(steps):
+    for _ in progress(range(steps), "fitting curves and angles", show=in_command()):
         found = solver.step(state)
         if found is None:
             return state.shape, CONVERGED, history
