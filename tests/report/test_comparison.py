@@ -8,6 +8,7 @@ import math
 
 import numpy as np
 import pytest
+from tests.report.reading import Reading
 from tests.support import all_pairs, hemisphere, plausible_images
 
 import torchmat as tm
@@ -15,6 +16,7 @@ from torchmat import Btf, RangeError
 from torchmat.fitting.geometry import Flat, Recover
 from torchmat.report import compare, write_comparison
 from torchmat.report.comparison import closed_forms, default_models, parse_model
+from torchmat.report.compare_page import SORTING, comparison_page, table_page
 from torchmat.report.compare_plots import PLOTS, write_plots
 from torchmat.report.compare_rows import entry_of, front, judged, mark_fronts
 from torchmat.report.place_labels import overlap, place
@@ -194,9 +196,11 @@ def test_every_column_is_explained_and_written(rows, tmp_path):
     assert tuple(lines[0]) == COMPARE_COLUMNS == tuple(COMPARE_MEANINGS)
     assert float(lines[2]["fit_seconds"]) == rows[2]["fit_seconds"] and lines[2]["same_bits"] == "True"
     page = (folder / "comparison.html").read_text("utf-8")
-    assert all(f"<dt>{name}</dt>" in page for name in COMPARE_COLUMNS) and page.count("data:image/png") == 3
+    read = Reading(page)
+    assert set(COMPARE_COLUMNS) <= set(read.code) and read.keys() == []
+    assert len(read.of("img")) == 3 + 2 * len(rows)  # the plots, and target and fit of each row
     written = json.loads((folder / "comparison.json").read_text("utf-8"))
-    assert written[2]["curve"] == [list(point) for point in rows[2]["curve"]]
+    assert "picture" not in written[2] and written[2]["curve"] == [list(point) for point in rows[2]["curve"]]
     assert "neural" in comparison_table(rows) and "exported" in comparison_table(rows)
 
 
@@ -218,3 +222,49 @@ def test_labels_cover_neither_points_nor_each_other():
 def test_without_room_every_label_still_has_a_place():
     found = place([(5.0, 5.0), (6.0, 5.0)], [(50.0, 10.0)] * 2, (0, 0, 20, 20), 1.0)
     assert len(found) == 2
+
+
+# The page
+
+
+def test_the_page_sorts_by_what_each_cell_holds_and_marks_the_front(rows):
+    failed = {**dict.fromkeys(rows[0]), "model": "<b>", "solver": "closed_form", "geometry": "flat", "failed": "<i>too few</i>"}
+    page = comparison_page("Models on <data>", [*mark_fronts(rows), failed], [])
+    read = Reading(page)
+    heads = read.of("th")
+    assert len(read.of("button")) == len(heads) - 1 and all(button["type"] == "button" for button in read.of("button"))
+    assert [head.get("data-first") for head in heads] == [*[None] * 5, "descending", None, None, "descending", None, "descending", None]
+    assert all("lower is better" in cell or "higher is better" in cell for cell in read.rows[0][2:-1])
+    cells = [attributes for attributes in read.of("td") if "data-value" in attributes]
+    per_row = [cells[number : number + len(heads) - 1] for number in range(0, len(cells), len(heads) - 1)]
+    assert [row[0]["data-value"] for row in per_row] == [*(one["model"] for one in rows), "<b>"]
+    assert [row[1]["data-value"] for row in per_row] == [*(str(one["total_bytes_per_texel"]) for one in rows), ""]
+    assert [row[6]["data-value"] for row in per_row[:-1]] == [str(one["relative_error"]) for one in rows]
+    marked = [attributes.get("class") == "front" for attributes in read.of("tr")[1:]]
+    assert marked == [bool(one["front"]) for one in mark_fronts(rows)] + [False]
+    assert "failed: <i>too few</i>" in read.text and read.of("b") == read.of("i") == [] and read.keys() == []
+    assert read.scripts == [SORTING]
+
+
+def test_rows_show_the_same_photograph_beside_their_own_fit(rows):
+    assert len({one["picture"]["target"] for one in rows}) == 1 and len({one["picture"]["fit"] for one in rows}) == 3
+    assert len({one["picture"]["sample"] for one in rows}) == 1
+    read = Reading(comparison_page("x", rows, []))
+    assert [image["alt"] for image in read.of("img")] == [f"{which}, {one['model']}" for one in rows for which in ("target", "fit")]
+    assert {(image["height"], image["width"]) for image in read.of("img")} == {("64", "72")}
+
+
+def test_the_page_says_first_which_row_is_truest_smallest_and_quickest():
+    given = mark_fronts([row(0.3, 2.0, 1.0, model="small"), row(0.1, 3.0, 9.0, model="true"), row(0.2, 0.5, 5.0, model="quick"), row(None)])
+    bare = dict.fromkeys(COMPARE_COLUMNS) | {"picture": None}
+    read = Reading(comparison_page("x", [bare | one for one in given], []))
+    assert read.code[:3] == ["true", "small", "quick"] and read.of("img") == []
+    assert "Truest: (relative error 0.1); smallest: at 1 bytes a texel (relative error 0.3); quickest to fit: in 0.5 s" in read.text
+    assert "No row has an error" in Reading(comparison_page("x", [bare | row(None)], [])).text
+
+
+def test_a_summary_can_be_sorted_and_escapes():
+    columns = {"data": "Where the images are.", "relative_error": "On held-out samples.", "failed": "Why there is no result."}
+    read = Reading(table_page("Many", columns, [{"data": "a_<b>", "relative_error": 0.5, "failed": None}]))
+    assert [cell["data-value"] for cell in read.of("td")] == ["a_<b>", "0.5", ""] and read.keys() == [] and read.of("b") == []
+    assert len(read.of("button")) == 3

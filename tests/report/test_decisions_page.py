@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 from tests.fitting.auto_data import shorten_fits
+from tests.report.reading import Reading
 from tests.support import all_pairs, hemisphere
 
 import torchmat as tm
@@ -73,6 +74,7 @@ def test_the_folder_holds_the_log_the_picture_and_the_table(met, tmp_path):
     assert read_image(folder / "pictures" / "decisions.png").shape[0] > 300
     page = (folder / "report.html").read_text("utf-8")
     assert "What was tried" in page and outcome_text(choice) in page and "Error against bytes" not in page
+    assert Reading(page).keys() == []
     assert write_fit(btf, result, folder, pictures=False) == folder  # its own files may be replaced
 
 

@@ -8,12 +8,14 @@ import numpy as np
 import pytest
 import torch
 from tests.models.examples import CASES, make
+from tests.support import hemisphere
 
 from torchmat.create import material_from_picture
 from torchmat.errors import DataError, RangeError, ShapeError
 from torchmat.images import read_image
 from torchmat.report import maps as sheets
 from torchmat.report.maps import hemisphere_picture, maps_picture
+from torchmat.report.samples import Measured
 
 
 def from_picture(height: int = 5, width: int = 6):
@@ -32,7 +34,7 @@ def test_every_material_has_a_sheet(tmp_path, name, options):
 def test_every_map_has_its_panel(tmp_path, monkeypatch):
     titles = []
 
-    def keep(figure, path):
+    def keep(figure, path, placed=False):
         titles.extend(axis.get_title() for axis in figure.axes)
         sheets.plotting().close(figure)
         return path
@@ -91,25 +93,84 @@ def test_bad_half_vectors_are_refused(tmp_path):
         maps_picture(from_picture(), tmp_path / "maps.nothing")
 
 
+@pytest.fixture()
+def figures(monkeypatch):
+    """Keep the figures that would be written."""
+    kept = []
+
+    def keep(figure, path, placed=False):
+        kept.append(figure)
+        sheets.plotting().close(figure)
+        return path
+
+    monkeypatch.setattr(sheets, "save_figure", keep)
+    return kept
+
+
+def titles_of(figure):
+    return [axis.get_title() for axis in figure.axes if axis.get_title()]
+
+
+def seen_by(monkeypatch, value):
+    """Let every picture have the one value that `value(light, view)` says."""
+    asked = []
+
+    def draw(material, mesh, lights, view, size):
+        asked.append((lights[0], view))
+        return torch.full((3, 2, 2), value(torch.tensor(lights[0]), torch.tensor(view)))
+
+    monkeypatch.setattr(sheets, "render", draw)
+    return asked
+
+
+def test_nine_views_differ_and_stand_where_one_stands(figures, monkeypatch):
+    asked = seen_by(monkeypatch, lambda light, view: float(view @ torch.tensor([0.3, 0.1, 0.5])))
+    hemisphere_picture(from_picture(), "unused.png", size=16)
+    assert titles_of(figures[0]) == [
+        "view 50°/135°", "view 25°/90°", "view 50°/45°", "view 25°/180°", "view 0°/0°", "view 25°/0°", "view 50°/225°", "view 25°/270°",
+        "view 50°/315°",
+    ]
+    views = np.array([view for _, view in asked])
+    assert np.allclose(np.linalg.norm(views, axis=1), 1) and len({tuple(np.round(view, 6)) for view in views}) == 9
+    apart = np.linalg.norm(views[:, None] - views[None], axis=2) + 9 * np.eye(9)
+    assert apart.min() > 0.4
+    # The light comes from the upper left; the last picture looks along its mirror direction.
+    assert asked[0][0][0] < 0 < asked[0][0][1] and views[-1][0] > 0 > views[-1][1]
+
+
+def test_what_looks_alike_from_everywhere_is_shown_under_nine_lights(figures, monkeypatch):
+    seen_by(monkeypatch, lambda light, view: float(light @ torch.tensor([0.3, 0.1, 0.5])))
+    hemisphere_picture(from_picture(), "unused.png", size=16)
+    titles = titles_of(figures[0])
+    assert len(titles) == 9 and titles[0] == "light 50°/135°" and "alike from everywhere" in figures[0].get_suptitle()
+
+
+def test_no_picture_is_there_twice(figures, monkeypatch):
+    seen_by(monkeypatch, lambda light, view: float(light[2]) / 2)
+    hemisphere_picture(from_picture(), "unused.png", size=16)
+    assert titles_of(figures[0]) == ["light 50°/135°", "light 25°/90°", "light 0°/0°"]
+    seen_by(monkeypatch, lambda light, view: 0.5)
+    hemisphere_picture(from_picture(), "unused.png", size=16)
+    assert titles_of(figures[1]) == ["light 0°/0°"]
+
+
+def test_views_beyond_the_measured_are_marked(figures, monkeypatch):
+    seen_by(monkeypatch, lambda light, view: float(view @ torch.tensor([0.3, 0.1, 0.5])))
+    rows = torch.from_numpy(hemisphere(((0, 1), (60, 12)))).float()
+    hemisphere_picture(from_picture(), "unused.png", 16, Measured(rows, torch.from_numpy(hemisphere(((0, 1), (35, 12)))).float()))
+    marked = [axis.get_title() for axis in figures[0].axes if axis.title.get_color() != "black"]
+    assert marked == ["view 50°/135°", "view 50°/45°", "view 50°/225°", "view 50°/315°"]
+    assert "orange: beyond the measured directions" in figures[0].get_suptitle()
+    hemisphere_picture(from_picture(), "unused.png", 16, Measured(rows, rows))
+    assert "orange" not in figures[1].get_suptitle()
+
+
 @pytest.mark.parametrize("size", [(5, 6), (1, 1), (1, 40), (40, 1)])
-def test_nine_views(tmp_path, monkeypatch, size):
-    views = []
-
-    def keep(material, mesh, lights, view, size):
-        views.append(view)
-        return torch.full((3, 2, 2), 0.5)
-
+def test_sheets_of_every_shape(tmp_path, size):
     material = from_picture(*size) if min(size) > 1 else material_from_picture(torch.rand(3, *size))
     assert min(read_image(maps_picture(material, tmp_path / "maps.png")).shape[:2]) > 100
     path = hemisphere_picture(material, tmp_path / "hemisphere.png", size=16)
     assert min(read_image(path).shape[:2]) > 100
-    monkeypatch.setattr(sheets, "render", keep)
-    hemisphere_picture(material, tmp_path / "hemisphere.png", size=16)
-    z = [view[2] for view in views]
-    assert np.allclose(z, np.repeat(np.cos(np.deg2rad([0, 25, 50])), 3))
-    assert np.allclose(np.linalg.norm(views, axis=1), 1)
-    # The first column of the last row looks along the mirror direction of the light from the upper left.
-    assert views[6][0] > 0 > views[6][1]
 
 
 def test_a_size_of_0_is_refused(tmp_path):

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from torchmat import atomic
-from torchmat.report.html import comparison_page
+from torchmat.report.compare_page import table_page
 from torchmat.report.tables import text_table, to_json, write_csv
 
 SUMMARY_MEANINGS = {
@@ -47,10 +47,9 @@ def write_summary(rows: list[dict[str, Any]], folder: str | Path) -> Path:
     """Write the rows as JSON, CSV and one HTML page, whole or not at all; return the folder."""
     target = Path(folder)
     check_target(target)
-    cells = [[row[name] for name in SUMMARY_COLUMNS] for row in rows]
     with atomic.building(target) as building:
         (building / "summary.json").write_text(to_json(rows), encoding="utf-8")
         write_csv(rows, building / "summary.csv", SUMMARY_COLUMNS)
-        page = comparison_page("Many materials", SUMMARY_COLUMNS, cells, [], SUMMARY_MEANINGS)
+        page = table_page("Many materials", SUMMARY_MEANINGS, rows)
         (building / "summary.html").write_text(page, encoding="utf-8")
     return target

@@ -8,19 +8,26 @@ from typing import Any
 
 import torch
 
+from torchmat import colour
 from torchmat.btf import Btf
 from torchmat.errors import FitError, RangeError, message
 from torchmat.fitting import FitResult, fit
 from torchmat.fitting.config import parse_value
-from torchmat.fitting.evaluate import evaluate, evaluate_parts
+from torchmat.fitting.evaluate import comparable, evaluate, evaluate_parts
 from torchmat.fitting.geometry import Geometry, Given, check_word, resolve_geometry
 from torchmat.fitting.recipe import recipe_of
 from torchmat.fitting.recipes import AUTO, resolve_options
 from torchmat.machine import MemoryMark
+from torchmat.report.inline import data_uri
+from torchmat.report.pictures import thinned
+from torchmat.report.samples import shown
 from torchmat.report.tables import COMPARE_COLUMNS
 from torchmat.solvers import Solver, Stepping
 
 _COSTS = {"total_bytes_per_texel": "bytes", "fit_seconds": "seconds", "shade_mtexels_per_s": "shading"}
+
+
+PICTURE_SIDE = 72  # pixels along a side of a row's pictures
 
 
 @dataclass(frozen=True)
@@ -103,7 +110,7 @@ def entry_of(text: str, geometry: Geometry | None) -> Entry:
 def make_row(btf: Btf, entry: Entry, setting: Setting) -> dict[str, Any]:
     """Fit one model as often as is asked for and return its row; what the data cannot determine says so in `failed`."""
     row: dict[str, Any] = dict.fromkeys(COMPARE_COLUMNS)
-    row |= {"model": entry.text, "solver": entry.solver, "geometry": entry.geometry.word, "curve": [], "report": None}
+    row |= {"model": entry.text, "solver": entry.solver, "geometry": entry.geometry.word, "curve": [], "report": None, "picture": None}
     runs: list[tuple[FitResult, float | None]] = []
     with_curve = entry.iterates and setting.curves
     try:
@@ -142,8 +149,19 @@ def _figures(btf: Btf, runs: list[tuple[FitResult, float | None]], quick: bool) 
         "relative_error": held_out["relative_error"], "psnr_db": held_out["psnr_db"],
         "relative_error_after_export": after.get("relative_error"), "psnr_db_after_export": after.get("psnr_db"),
         **_repeated(btf, [one for one, _ in runs], held_out["relative_error"]),
-        "repeats": seconds, "report": report,
+        "repeats": seconds, "report": report, "picture": _picture(btf, result),
     }
+
+
+def _picture(btf: Btf, result: FitResult) -> dict[str, Any]:
+    """Return one photograph and its fit as data URIs, small: the same for all models, of middling slant among the held out."""
+    material, btf = comparable(result.material, btf)
+    indices = result.split.held_out if len(result.split.held_out) else result.split.train
+    slant = btf.light[indices, 2] + btf.view[indices, 2]
+    one = shown(btf, material, int(indices[slant.argsort(stable=True)[len(slant) // 2]]), "middling")
+    target, fit = (thinned(colour.display(picture), PICTURE_SIDE) for picture in (one.target, one.fit))
+    size = [int(target.shape[1]), int(target.shape[2])]
+    return {"sample": one.sample, "directions": one.directions, "size": size, "target": data_uri(target), "fit": data_uri(fit)}
 
 
 def _repeated(btf: Btf, results: list[FitResult], error: float | None) -> dict[str, Any]:

@@ -16,8 +16,8 @@ from torchmat.fitting.recipes import resolve_options
 from torchmat.progress import whole
 from torchmat.report.compare_plots import PLOTS, write_plots
 from torchmat.report.compare_rows import Entry, Setting, entry_of, judged, make_row, mark_fronts, parse_model
-from torchmat.report.html import comparison_page
-from torchmat.report.tables import COMPARE_COLUMNS, COMPARE_MEANINGS, to_json, write_csv
+from torchmat.report.compare_page import comparison_page
+from torchmat.report.tables import to_json, write_csv
 
 __all__ = ["check_target", "closed_forms", "compare", "default_models", "parse_model", "write_comparison"]
 
@@ -128,11 +128,13 @@ def write_comparison(
     target = Path(folder)
     check_target(target)
     with atomic.building(target) as building:
-        (building / "comparison.json").write_text(to_json(rows), encoding="utf-8")
+        (building / "comparison.json").write_text(to_json([_without_picture(row) for row in rows]), encoding="utf-8")
         write_csv(rows, building / "comparison.csv")
         drawn = plots and any(judged(row) is not None for row in rows)
         pictures = write_plots(rows, building) if drawn else []
-        cells = [[row[column] for column in COMPARE_COLUMNS] for row in rows]
-        page = comparison_page(title, COMPARE_COLUMNS, cells, pictures, COMPARE_MEANINGS)
-        (building / "comparison.html").write_text(page, encoding="utf-8")
+        (building / "comparison.html").write_text(comparison_page(title, rows, pictures), encoding="utf-8")
     return target
+
+
+def _without_picture(row: dict[str, Any]) -> dict[str, Any]:
+    return {name: value for name, value in row.items() if name != "picture"}

@@ -1,104 +1,206 @@
-"""One self-contained page: tables and pictures of a fit, nothing fetched from anywhere."""
+"""The page of one fit: what it is worth, pictures, figures, maps, and how it was made. Nothing is fetched from anywhere."""
 
 from __future__ import annotations
 
-import base64
-import html
+import shlex
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
+from torchmat import colour
 from torchmat.report.decisions_page import decision_rows, map_rows, outcome_text, shrinking_rows, wanted_text
-from torchmat.report.tables import error_rows, measured_rows, number, object_text, scene_rows
+from torchmat.report.inline import data_uri, shown_size
+from torchmat.report.map_cards import MOST, MapCard
+from torchmat.report.page import Markup, Picture, code, details, figure, listed, page, paragraph, plot, section, table, text
+from torchmat.report.pictures import DIFFERENCE_COLOURS, LARGEST, colour_strip, thinned
+from torchmat.report.samples import Shown, difference_range
+from torchmat.report.tables import measured_rows, number, object_text, scene_rows
+from torchmat.report.verdict import verdict
+from torchmat.report.words import FIGURES, GEOMETRIES, PARTS, SPLITS, spaced, stopped
 
-_STYLE = """
-body{font-family:system-ui,sans-serif;margin:2em auto;max-width:62em;padding:0 1em;color:#222}
-table{border-collapse:collapse;margin:1em 0}td,th{padding:.3em .8em;border-bottom:1px solid #ddd;text-align:right}
-td:first-child,th:first-child{text-align:left}img{max-width:100%}figure{margin:2em 0}figcaption{color:#555}
-.wide{overflow-x:auto;font-size:80%}dt{font-weight:bold}dd{margin:0 0 .4em 1em}
-"""
 _CAPTIONS = {
     "decisions": "What was tried: error against bytes, on samples kept back.",
-    "comparison": "Target, fit and difference at the held-out samples of median and largest error, and the most grazing.",
-    "error_by_angle": "Error against the polar angle of light and view.",
-    "sphere": "The material on a sphere.",
+    "error_by_angle": "Error against the polar angle of light and view: 0° is straight above, 90° the horizon.",
+    "sphere": "On a sphere under two lights. Towards its rim the view, and towards the shadow the light, is flatter than any that "
+    "was measured: what a model makes of that is a guess. Polynomials, harmonics and principal images fade there before the light "
+    "sets, so that no hard arc ends it.",
+    "hemisphere": "The flat patch, each picture standing where one stands. What would be the same picture is left out.",
     "coverage": "Which share of its unknowns each texel's samples determine.",
     "object_mask": "What counts as the object, outlined; the rest is red and counts nowhere.",
-    "directions": "Lights and views on the projected hemisphere.",
-    "error_against_bytes": "Held-out error against bytes per texel.",
-    "error_against_seconds": "Held-out error against fit seconds.",
-    "error_against_shading": "Held-out error against shading throughput: what lies to the right is faster.",
+    "directions": "Where lights and views were measured, seen from above.",
+    "error_by_seconds": "The error of the solver, in its own terms, as the fit went on.",
+    "relief": "The relief: shaded, its height in texture widths, its normals.",
+    "oblique": "The flattest views: measured, on the relief, and without parallax and shadow.",
 }
+_ELSEWHERE = ("comparison", "maps")  # shown on the page by pictures of their own
 
 
-def _table(header: Sequence[str], rows: Sequence[Sequence[Any]]) -> str:
-    def line(cells: Sequence[Any], tag: str) -> str:
-        return "<tr>" + "".join(f"<{tag}>{html.escape(number(cell))}</{tag}>" for cell in cells) + "</tr>"
-
-    return f"<table>{line(header, 'th')}{''.join(line(row, 'td') for row in rows)}</table>"
-
-
-def _figure(path: Path) -> str:
-    data = base64.b64encode(path.read_bytes()).decode()
-    caption = html.escape(_CAPTIONS.get(path.stem, path.stem.replace("_", " ")))
-    return f'<figure><img alt="{caption}" src="data:image/png;base64,{data}"><figcaption>{caption}</figcaption></figure>'
-
-
-def _page(title: str, body: list[str]) -> str:
-    head = f'<!doctype html><html lang="en"><meta charset="utf-8"><title>{html.escape(title)}</title>'
-    return f"{head}<style>{_STYLE}</style><h1>{html.escape(title)}</h1>{''.join(body)}</html>"
-
-
-def _bands(report: dict[str, Any]) -> str:
-    part = report["held_out"] or report["train"]
-    rows = [
-        [f"{row['angle']} {row['from_deg']}-{row['to_deg']}°", row["samples"], row["relative_error"], row["psnr_db"]]
-        for row in part.get("by_angle", [])  # none where nothing was measured
-    ]
-    return _table(["polar angle", "samples", "relative error", "PSNR (dB)"], rows)
-
-
-def fit_page(report: dict[str, Any], pictures: Sequence[Path]) -> str:
-    """Return the page of one fit."""
-    source = report["source"]
-    facts = [
-        ["source", f"{source['kind']}, {source['lights']} lights x {source['views']} views"],
-        ["size", f"{source['height']} x {source['width']} texels, {report['samples']} images"],
-        ["clipped / invalid share", f"{number(source['clipped_share'])} / {number(source['invalid_share'])}"],
-        *([["object", object_text(source["object"]["mask"], source["object"]["share"])]] if "object" in source else []),
-        ["options", ", ".join(f"{k}={v}" for k, v in report["options"].items())],
-        ["held out", f"{number(report['holdout'])} of the samples, by {report['holdout_by']}, seed {report['seed']}"],
-        ["bytes per texel", f"{number(report['bytes_per_texel'])}, and {report['shared_bytes']} shared by all texels"],
-        ["load / fit", f"{number(report['load_seconds'])} s / {number(report['fit_seconds'])} s"],
-        ["shading", f"{number(report['shade_mtexels_per_s'])} million texels a second"],
-        ["stopped because", report["stop_reason"]],
-    ]
-    if report.get("lambert_residual"):
-        figures = report["lambert_residual"]
-        facts += [["Lambert residual", figures["meaning"]], *(["warning", text] for text in figures["warnings"])]
-    facts += measured_rows(report)
-    facts += [["note", note] for note in source.get("notes", ())]
-    body = [
-        _table(*error_rows(report)),
-        _table(["", ""], facts), *map(_figure, pictures), "<h2>By polar angle</h2>", _bands(report),
-    ]
-    if "scene" in report:
-        body.insert(1, "<h2>The scene</h2>" + _table(["", ""], scene_rows(report)))
-    choice = report["figures"].get("auto")
-    if choice:
-        heading = [f"<h2>{html.escape(outcome_text(choice))}</h2>", f"<p>Wanted: {html.escape(wanted_text(choice))}.</p>"]
-        body = [*heading, *body, "<h2>What was tried</h2>", _table(*decision_rows(choice))]
-        body += ["<h2>How the textures are stored</h2>", _table(*map_rows(choice)), _table(*shrinking_rows(choice))]
-    return _page(f"{report['model']} fitted to {Path(source['path']).name}", body)
-
-
-def comparison_page(
-    title: str, header: Sequence[str], rows: Sequence[Sequence[Any]], pictures: Sequence[Path],
-    meanings: Mapping[str, str] | None = None,
+def fit_page(
+    report: Mapping[str, Any], pictures: Sequence[Path], rows: Sequence[Shown] = (), cards: Sequence[MapCard] = (),
+    parameters: Sequence[Sequence[str]] = (),
 ) -> str:
-    """Return the page of a comparison of models; `meanings` explains its columns."""
-    pairs = (meanings or {}).items()
-    words = "".join(f"<dt>{html.escape(name)}</dt><dd>{html.escape(text)}</dd>" for name, text in pairs)
-    explained = [f"<h2>What the columns mean</h2><dl>{words}</dl>"] if words else []
-    table = f'<div class="wide">{_table([name.replace("_", " ") for name in header], rows)}</div>'
-    return _page(title, [table, *map(_figure, pictures), *explained])
+    """Return the page of one fit.
+
+    Args:
+        report: what `report.json` holds.
+        pictures: PNG files of plots, by whose names their captions go.
+        rows: photographs beside their fit.
+        cards: the textures that stand beside the page.
+        parameters: name, value and unit of numbers that all texels share.
+    """
+    plots = {path.stem: plot(path, _CAPTIONS.get(path.stem, path.stem.replace("_", " "))) for path in pictures if path.stem not in _ELSEWHERE}
+    found = verdict(report)
+    name = Path(report["source"]["path"]).name
+    choice = report["figures"].get("auto")
+    body = [
+        paragraph(found.sentence, f"verdict {found.grade}"), listed(found.cautions, "cautions"),
+        section("What was wanted", *_wanted(choice, plots)) if choice else "",
+        section("Target, fit and difference", *_compared(rows)),
+        section("How true it is", _figures(report), _plots(plots, "error_by_angle", "error_by_seconds"), _bands(report)),
+        section("On objects, and from other directions", _plots(plots, "sphere", "hemisphere", "relief", "oblique")),
+        section("The maps", *_maps(cards, parameters)),
+        section("The scene", table((), scene_rows(dict(report)), "facts")) if "scene" in report else "",
+        section("The data", table((), _data(report), "facts"), _plots(plots, "directions", "coverage", "object_mask")),
+        *_decisions(choice), section("How it was made", table((), _made(report), "facts")), *plots.values(),
+    ]
+    return page(f"{report['model'].replace('_', ' ')} fitted to {name}", body, Markup(f"{code(report['model'])} fitted to {text(name)}"))
+
+
+def _plots(plots: dict[str, Markup], *names: str) -> Markup:
+    there = "".join(plots.pop(name) for name in names if name in plots)
+    return Markup(f'<div class="plots">{there}</div>' if there else "")
+
+
+def _compared(rows: Sequence[Shown]) -> list[Markup]:
+    if not rows:
+        return []
+    most = difference_range(rows)
+    strip = Picture(data_uri(colour_strip(), DIFFERENCE_COLOURS, -1.0, 1.0)).tag(f"colour bar from {-most:g} to {most:g}")
+    bar = Markup(
+        f'<div class="bar"><span>too dark by {most:g}</span>{strip}<span>too bright by {most:g}</span></div>'
+        + paragraph("Differences are of the pictures as shown, where white is 1. Directions are polar angle / azimuth.", "soft")
+    )
+    return [*(_row(row, most) for row in rows), bar]
+
+
+def _row(row: Shown, most: float) -> Markup:
+    beyond = " Beyond the directions that the fit saw." if row.beyond else ""
+    said = Markup(f"<b>{text(row.why.capitalize())}</b>: {text(f'{row.directions}. {row.figures[:1].upper()}{row.figures[1:]}; {row.brightness}.{beyond}')}")
+    pictures = (
+        ("Target", data_uri(colour.display(thinned(row.target)))), ("Fit", data_uri(colour.display(thinned(row.fit)))),
+        ("Difference", data_uri(thinned(row.difference[None]), DIFFERENCE_COLOURS, -most, most)),
+    )
+    _, height, width = thinned(row.difference[None]).shape
+    size = shown_size(height, width, LARGEST)
+    three = "".join(figure(Picture(uri, size, True), name, f"{name} at {row.directions}") for name, uri in pictures)
+    return Markup(f'<div class="row">{paragraph(said)}<div class="three">{three}</div></div>')
+
+
+def _figures(report: Mapping[str, Any]) -> Markup:
+    parts = [name for name in PARTS if report.get(name)]
+    if not parts:
+        return paragraph("Errors were not measured.")
+    rows = [
+        [Markup(f'{text(figure.name)}<br><span class="unit">{figure.better}</span>'), *(report[part].get(key) for part in parts), figure.meaning]
+        for key, figure in FIGURES.items()
+    ]
+    return table(["", *(PARTS[part] for part in parts), "what it says"], rows, words=(len(parts) + 1,))
+
+
+def _bands(report: Mapping[str, Any]) -> Markup:
+    part = report.get("held_out") or report.get("train") or {}
+    rows = [
+        [f"{row['angle']}, {row['from_deg']}° to {row['to_deg']}°", row["samples"], row["relative_error"], row["psnr_db"]]
+        for row in part.get("by_angle", ())
+    ]
+    header = ["polar angle", "photographs", "relative error (lower is better)", "PSNR, dB (higher is better)"]
+    return details("The same by polar angle, as numbers", table(header, rows)) if rows else Markup("")
+
+
+def _maps(cards: Sequence[MapCard], parameters: Sequence[Sequence[str]]) -> list[Markup]:
+    shown = [
+        Markup(f"<b>{text(card.name)}</b>{_linked(card)}<span class=\"soft\">{text(card.meaning)}<br>{text(card.extent)}</span>"
+               f"<br>{', '.join(_link(name) for name in card.files)}")
+        for card in cards
+    ]
+    rest = [paragraph(f"The first {MOST} textures; the folder holds them all.", "soft")] if len(cards) == MOST else []
+    numbers = [table(["what all texels share", "value", "unit"], parameters, words=(2,))] if parameters else []
+    return [*([listed(shown, "cards")] if cards else []), *rest, *numbers]
+
+
+def _linked(card: MapCard) -> Markup:
+    image = Picture(card.picture, shown_size(*card.size, 160), True).tag(f"{card.name}: {card.meaning}")
+    return Markup(f'<a href="{quote(card.files[0])}">{image}</a>') if card.files else image
+
+
+def _link(name: str) -> Markup:
+    return Markup(f'<a href="{quote(name)}">{code(name)}</a>')
+
+
+def _wanted(choice: Mapping[str, Any], plots: dict[str, Markup]) -> list[Markup]:
+    return [paragraph(f"Wanted: {wanted_text(choice)}."), paragraph(spaced(outcome_text(choice))), _plots(plots, "decisions")]
+
+
+def _decisions(choice: Mapping[str, Any] | None) -> list[Markup]:
+    if not choice:
+        return []
+    header, tried = decision_rows(choice)
+    (maps, stored), (columns, steps) = map_rows(choice), shrinking_rows(choice)
+    tables = [table(maps, map(_in_words, stored), words=(1, 2)), *([table(columns, map(_in_words, steps), words=(1,))] if steps else [])]
+    return [section("What was tried", table(header, [[code(row[0]), *_in_words(row[1:])] for row in tried], words=(8, 9))),
+            section("How the textures are stored", *tables)]
+
+
+def _in_words(cells: Sequence[Any]) -> list[Any]:
+    return [spaced(cell) if isinstance(cell, str) else cell for cell in cells]
+
+
+def _data(report: Mapping[str, Any]) -> list[list[Any]]:
+    source, coverage = report["source"], report.get("coverage")
+    rows = [
+        ["photographs", f"{report['samples']}: {source['lights']} lights, {source['views']} views"],
+        ["size", f"{source['height']} x {source['width']} texels"], ["from", code(source["path"])], ["read as", source["kind"]],
+        ["clipped, of all values", f"{100 * source['clipped_share']:.3g} %"],
+        ["invalid, of all values", f"{100 * source['invalid_share']:.3g} %"],
+        ["held out", f"{100 * report['holdout']:.3g} % of the photographs, by {SPLITS.get(report['holdout_by'], report['holdout_by'])}"],
+        *([["object", object_text(source["object"]["mask"], source["object"]["share"])]] if "object" in source else []),
+        *([row[0], row[1]] for row in measured_rows(dict(report))),
+    ]
+    if coverage:
+        rows.append(["coverage", coverage_text(coverage)])
+    figures = report.get("lambert_residual")
+    if figures:
+        rows += [["Lambert residual", figures["meaning"]], *(["warning", said] for said in figures["warnings"])]
+    return [*rows, *(["note", note] for note in source.get("notes", ()))]
+
+
+def coverage_text(coverage: Mapping[str, Any]) -> str:
+    """Return in a sentence which share of their unknowns the samples of texels determine."""
+    least, mean = coverage["least"], coverage["mean"]
+    if abs(mean - least) < 1e-6:
+        return f"every texel's samples determine {'all' if least > 1 - 1e-6 else f'{100 * least:.3g} %'} of its unknowns"
+    left = coverage["texels_not_fully_determined"]
+    return f"texels' samples determine {100 * least:.3g} % of their unknowns at least, {100 * mean:.3g} % on average; {left} texels not all"
+
+
+def _made(report: Mapping[str, Any]) -> list[list[Any]]:
+    run = report.get("run") or {}
+    geometry = (report.get("figures") or {}).get("geometry", {}).get("chosen", report.get("geometry", "flat"))
+    rows: list[list[Any]] = [["model", code(report["model"])]]
+    if run.get("command"):
+        rows.append(["command", code(shlex.join(map(str, run["command"])))])
+    options = [code(f"{name}={value}") for name, value in report["options"].items()]
+    rows += [
+        ["options", Markup(" ".join(options) or "none")],
+        ["geometry", GEOMETRIES.get(geometry, geometry)], ["seed", report["seed"]],
+        ["stopped because", stopped(report["stop_reason"])],
+        ["time", f"{number(report['load_seconds'])} s to load, {number(report['fit_seconds'])} s to fit"],
+        ["size", f"{number(report['bytes_per_texel'])} bytes a texel, and {report['shared_bytes']} bytes that all share (less is better)"],
+        ["shading", f"{number(report['shade_mtexels_per_s'])} million texels a second (more is better)"],
+        ["most memory", f"{number(report.get('peak_rss_mb'))} MB"],
+    ]
+    if run.get("digest"):
+        rows.append(["digest of the data", code(run["digest"])])
+    versions = ", ".join(f"{name} {version}" for name, version in report["versions"].items())
+    return [*rows, ["versions", versions]]

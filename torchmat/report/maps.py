@@ -17,15 +17,22 @@ from torchmat.models import Material
 from torchmat.models.storage import MapSpec
 from torchmat.rendering import render
 from torchmat.report.pictures import plotting, save_figure
+from torchmat.report.samples import Measured, degrees, polar_deg
 from torchmat.report.tables import number
 
 _COLUMNS = 4
 _LARGEST = 512  # texels along a side of a panel; the sheet shows no more
 _DECADES = 1e3  # from the brightest to where the logarithm turns linear
 _LIGHT = (-0.5, 0.5, 0.707)
-POLAR_DEG = (0.0, 25.0, 50.0)
-# Seen against the light, where its mirror direction lies, from the side, and from where the light comes.
-AZIMUTH_DEG = (315.0, 45.0, 135.0)
+# Where one stands, as (polar angle, azimuth) in degrees, seen from above: the light falls in from the upper left, its
+# mirror direction is at the lower right. Nine that differ, all azimuths every 45 degrees among them.
+COMPASS = (
+    ((50.0, 135.0), (25.0, 90.0), (50.0, 45.0)),
+    ((25.0, 180.0), (0.0, 0.0), (25.0, 0.0)),
+    ((50.0, 225.0), (25.0, 270.0), (50.0, 315.0)),
+)
+_ALIKE = 1 / 510  # display values that no 8-bit picture tells apart
+_BEYOND = "tab:orange"
 
 
 class _Panel(NamedTuple):
@@ -74,12 +81,16 @@ def _panels(spec: MapSpec, value: Tensor, marks: Tensor | None) -> list[_Panel]:
     if spec.name == "tilt":
         return [_Panel("tilt: 1 - d against degrees", lambda axis: _curve(axis, value.flatten()))]
     if spec.name == "rotation":
-        length = value.norm(dim=0, keepdim=True)
-        return [_Panel("rotation (+x is red)", _image(rotation_to_hue(torch.where(length > 0, value, 1.0))))]
+        return [_Panel("rotation (+x is red)", _image(hue(value)))]
     textures = zip(spec.textures, value.split(spec.layer_channels), strict=True)
     if spec.name == "specular":
         return [_Panel(_title(name, part) + ", log", _disc(part, marks)) for name, part in textures]
-    return [_Panel(_title(name, part), _shown(spec, part)) for name, part in textures]
+    return [_Panel(_title(name, part), _image(*seen(spec, part))) for name, part in textures]
+
+
+def hue(rotation: Tensor) -> Tensor:
+    """Return a rotation [2, H, W] as colours [3, H, W]; +x is red, as is what has no direction."""
+    return rotation_to_hue(torch.where(rotation.norm(dim=0, keepdim=True) > 0, rotation, 1.0))
 
 
 def _title(name: str, part: Tensor) -> str:
@@ -87,17 +98,23 @@ def _title(name: str, part: Tensor) -> str:
     return f"{name} ({low} to {high})" if low != high else f"{name} ({low})"
 
 
-def _shown(spec: MapSpec, part: Tensor) -> Callable[[Any], None]:
-    """Return what draws one texture [C, H, W]."""
+def seen(spec: MapSpec, part: Tensor) -> tuple[Tensor, str]:
+    """Return the planes [1 or 3, H, W] in which people see one texture [C, H, W] of a map, and the colours of a single one."""
     if spec.index:
-        return _image(part[:1], cmap="tab20")
+        return part[:1], "tab20"
     if spec.colour and len(part) == 3:
-        return _image(colour.display(part))
+        return colour.display(part), "gray"
     if not spec.per_texel or len(part) != 3:
         # Tables and odd numbers of channels: plane under plane.
-        return _image(part.flatten(0, 1)[None], cmap="viridis" if not spec.per_texel else "gray")
+        return part.flatten(0, 1)[None], "gray" if spec.per_texel else "viridis"
     most = 1.0 if spec.name == "normal" else max(float(part.abs().max()), 1e-12)
-    return _image((part / (2 * most) + 0.5).clamp(0, 1))
+    return (part / (2 * most) + 0.5).clamp(0, 1), "gray"
+
+
+def logarithmic(part: Tensor) -> Tensor:
+    """Return a map [3, H, W] from 0 to its largest value on a logarithmic scale, 0 to 1."""
+    most = max(float(part.max()), 1e-30)
+    return (torch.log1p(part / most * _DECADES) / math.log1p(_DECADES)).clamp(0, 1)
 
 
 def _image(planes: Tensor, cmap: str = "gray", **settings: Any) -> Callable[[Any], None]:
@@ -115,9 +132,7 @@ def _image(planes: Tensor, cmap: str = "gray", **settings: Any) -> Callable[[Any
 
 
 def _disc(part: Tensor, marks: Tensor | None) -> Callable[[Any], None]:
-    most = max(float(part.max()), 1e-30)
-    scaled = torch.log1p(part / most * _DECADES) / math.log1p(_DECADES)
-    draw_map = _image(scaled.clamp(0, 1), extent=(-1, 1, -1, 1))
+    draw_map = _image(logarithmic(part), extent=(-1, 1, -1, 1))
 
     def draw(axis: Any) -> None:
         draw_map(axis)
@@ -143,23 +158,57 @@ def _bars(axis: Any, values: Tensor) -> None:
     axis.grid(alpha=0.3, axis="y")
 
 
-def hemisphere_picture(material: Material, path: Path, size: int = 192) -> Path:
+def hemisphere_picture(material: Material, path: Path, size: int = 192, measured: Measured | None = None) -> Path:
     """Draw nine views of the flat patch under one light from the upper left: how it changes as one moves round it.
 
-    Rows are polar angles of the view, columns its azimuth: toward the mirror direction, across, back to the light.
+    Each stands where one stands; no picture is there twice. A material that looks alike from everywhere is shown from above
+    under lights from there instead. What lies beyond the `measured` directions is marked.
     """
     if size < 1:
         raise RangeError(message("hemisphere_picture", "size", "be at least 1", f"it is {size}"))
+    places = torch.tensor([[_direction(*angles) for angles in row] for row in COMPASS]).flatten(0, 1)
+    light, above = torch.tensor([_LIGHT]).expand(9, 3) / math.hypot(*_LIGHT), torch.tensor([[0.0, 0.0, 1.0]]).expand(9, 3)
+    drawn, what, lights, views = _distinct(material, light, places, size), "view", light, places
+    said = f"light {degrees(polar_deg(light[0]))}"
+    if len(drawn) == 1:
+        drawn, what, lights, views = _distinct(material, places, above, size), "light", places, above
+        said = "alike from everywhere: from above, under light from"
+    beyond = [False] * 9 if measured is None else measured.beyond(lights, views)
+    figure, axes = plotting().subplots(3, 3, figsize=(7.5, 8), squeeze=False, gridspec_kw={
+        "left": 0.02, "right": 0.98, "bottom": 0.02, "top": 0.92, "wspace": 0.05, "hspace": 0.14,
+    })
+    figure.suptitle(said + ("; orange: beyond the measured directions" if any(beyond) else ""), fontsize=9)
+    for number_of, (axis, angles) in enumerate(zip(axes.flat, [place for row in COMPASS for place in row], strict=True)):
+        if number_of not in drawn:
+            axis.set_axis_off()
+            continue
+        _place(axis, drawn[number_of], material.size, beyond[number_of])
+        axis.set_title(f"{what} {degrees(angles)}", fontsize=8, pad=3, color=_BEYOND if beyond[number_of] else "black")
+    return save_figure(figure, Path(path), placed=True)
+
+
+def _direction(polar_deg: float, azimuth_deg: float) -> list[float]:
+    polar, azimuth = math.radians(polar_deg), math.radians(azimuth_deg)
+    return [math.sin(polar) * math.cos(azimuth), math.sin(polar) * math.sin(azimuth), math.cos(polar)]
+
+
+def _distinct(material: Material, lights: Tensor, views: Tensor, size: int) -> dict[int, Tensor]:
+    """Return displayed pictures [3, H, W] of the patch by their numbers, without those that another one looks like."""
     height, width = material.size
     across = max(1, min(size, round(size * width / height)))  # a tall patch keeps its height
-    figure, axes = plotting().subplots(3, 3, figsize=(7.5, 8), squeeze=False)
-    for line, polar in zip(axes, POLAR_DEG, strict=True):
-        for axis, azimuth in zip(line, AZIMUTH_DEG, strict=True):
-            sine, angle = math.sin(math.radians(polar)), math.radians(azimuth)
-            view = (sine * math.cos(angle), sine * math.sin(angle), math.cos(math.radians(polar)))
-            picture = render(material, "patch", [_LIGHT], view=view, size=across)
-            axis.imshow(colour.display(picture.float()).permute(1, 2, 0).numpy(), interpolation="nearest", aspect="auto")
-            axis.set_box_aspect(min(max(height / width, 0.1), 10))
-            axis.set_title(f"view {polar:.0f}°/{azimuth:.0f}°", fontsize=8)
-            axis.set_axis_off()
-    return save_figure(figure, Path(path))
+    found: dict[int, Tensor] = {}
+    for number_of in (4, 0, 1, 2, 3, 5, 6, 7, 8):  # straight above first, which every material has
+        light, view = lights[number_of].tolist(), views[number_of].tolist()
+        picture = colour.display(render(material, "patch", [light], view=view, size=across).float())
+        if all(float((picture - other).abs().max()) > _ALIKE for other in found.values()):
+            found[number_of] = picture
+    return found
+
+
+def _place(axis: Any, picture: Tensor, size: tuple[int, int], beyond: bool) -> None:
+    axis.imshow(picture.permute(1, 2, 0).numpy(), interpolation="nearest", aspect="auto")
+    axis.set_box_aspect(min(max(size[0] / size[1], 0.1), 10))
+    axis.set_xticks([])
+    axis.set_yticks([])
+    for side in axis.spines.values():
+        side.set(visible=beyond, color=_BEYOND, linestyle="--", linewidth=2)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -10,16 +11,20 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchmat import colour, frames
+from torchmat import colour
 from torchmat.btf import Btf
 from torchmat.errors import DataError, message
-from torchmat.fitting import FitResult, predict
+from torchmat.fitting import FitResult
 from torchmat.geometry import Relief, normals_from_slopes, slopes_from_height
 from torchmat.progress import progress
-from torchmat.rendering import render
+from torchmat.rendering import Scene
+from torchmat.rendering.files import on_neutral
+from torchmat.report.samples import Shown, degrees, difference_range, polar_deg
 
 DPI = 120
 _MASK_SAMPLES = 16  # images of which the brightest is drawn beneath a mask
+LARGEST = 320  # pixels along a side of one picture: three stand side by side on a page
+DIFFERENCE_COLOURS = "RdBu_r"
 
 
 def plotting() -> Any:
@@ -32,17 +37,34 @@ def plotting() -> Any:
     return pyplot
 
 
-def _shown(image: Tensor, mask: Tensor | None = None) -> Any:
-    """Return an image as it is shown, [H, W, 3]; grey outside of an object's `mask`."""
-    shown = colour.display(image)
-    return (shown if mask is None else torch.where(mask, shown, 0.5)).permute(1, 2, 0).numpy()
+def thinned(planes: Tensor, largest: int = LARGEST) -> Tensor:
+    """Return planes [C, H, W] averaged over whole blocks of texels, so that neither side is above `largest`."""
+    block = math.ceil(max(planes.shape[1:]) / largest)
+    if block == 1:
+        return planes
+    down, across = (min(block, size) for size in planes.shape[1:])
+    return torch.nn.functional.avg_pool2d(planes[None].float(), (down, across))[0]
 
 
-def save_figure(figure: Any, path: Path) -> Path:
-    """Write and close a figure; raises DataError, which names the file, when that fails."""
+def colour_strip(steps: int = 100) -> Tensor:
+    """Return the values -1 to 1 of a colour bar as one row of a picture, [1, 1, steps]."""
+    return torch.linspace(-1, 1, steps)[None, None]
+
+
+def _shown(image: Tensor) -> Any:
+    return colour.display(image).permute(1, 2, 0).numpy()
+
+
+def save_figure(figure: Any, path: Path, placed: bool = False) -> Path:
+    """Write and close a figure, cut to what is drawn unless it was `placed` by hand or has a layout of its own.
+
+    Raises DataError, which names the file, when that fails.
+    """
+    placed = placed or figure.get_layout_engine() is not None
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        figure.savefig(path, dpi=DPI, bbox_inches="tight", metadata={"Software": None})
+        # To find what is drawn, everything is drawn twice.
+        figure.savefig(path, dpi=DPI, bbox_inches=None if placed else "tight", metadata={"Software": None})
     except (OSError, ValueError) as error:
         step = "Choose a name that ends in .png, in a folder that can be written to."
         raise DataError(message(str(path), "the picture", "be writable", str(error), step)) from error
@@ -51,50 +73,32 @@ def save_figure(figure: Any, path: Path) -> Path:
     return path
 
 
-def telling_samples(btf: Btf, result: FitResult) -> list[tuple[str, int]]:
-    """Return (why, sample): the held-out samples of median and largest display error, and the most grazing one.
-
-    Without held-out samples the training samples stand in, in the order of their index.
-    """
-    indices = result.split.held_out if len(result.split.held_out) else result.split.train
-    errors = result.held_out_errors
-    if errors is None:
-        errors = torch.arange(len(indices), dtype=torch.float64)
-    order = errors.argsort()
-    graze = btf.light[indices, 2] + btf.view[indices, 2]
-    chosen = {"median": order[len(order) // 2], "worst": order[-1], "grazing": graze.argmin()}
-    return [(why, int(indices[position])) for why, position in chosen.items()]
-
-
-def _degrees(direction: Tensor) -> str:
-    polar, azimuth = (float(torch.rad2deg(angle)) for angle in frames.to_polar(direction))
-    return f"{polar:.0f}°/{azimuth:.0f}°"
-
-
-def comparison_picture(btf: Btf, result: FitResult, path: Path) -> Path:
-    """Draw target | fit | signed difference (grey is none) for the telling samples."""
-    rows = telling_samples(btf, result)
-    figure, axes = plotting().subplots(len(rows), 3, figsize=(9, 3.2 * len(rows)), squeeze=False)
-    for line, (why, sample) in zip(axes, rows, strict=True):
-        target = btf.image(sample)
-        fitted = predict(result.material, btf, torch.tensor([sample]))[0].to(target.dtype)
-        # One brightness for the row: grazing images would otherwise be black on black.
-        scale = float(target.quantile(0.99).clamp(min=1e-6)) if target.numel() < 1e7 else float(target.max())
-        scale = 1.0 if scale > 0.5 else scale
-        difference = (colour.display(fitted / scale) - colour.display(target / scale)) / 2 + 0.5
-        pictures = (_shown(target / scale, btf.mask), _shown(fitted / scale, btf.mask), difference.permute(1, 2, 0).numpy())
-        title = f"{why}: light {_degrees(btf.light[sample])}, view {_degrees(btf.view[sample])}"
-        brighter = "" if scale == 1.0 else f" (shown {1 / scale:.1f}x brighter)"
-        for axis, picture, name in zip(line, pictures, (title + brighter, "fit", "fit - target (grey: none)"), strict=True):
-            axis.imshow(picture, vmin=0, vmax=1, interpolation="nearest")
-            axis.set_title(name, fontsize=8)
+def comparison_picture(rows: Sequence[Shown], path: Path) -> Path:
+    """Draw target | fit | difference of chosen photographs, with one colour bar for all differences."""
+    most = difference_range(rows)
+    height = 2.9 * len(rows) + 0.75
+    figure, axes = plotting().subplots(len(rows), 3, figsize=(9, height), squeeze=False, gridspec_kw={
+        "left": 0.01, "right": 0.99, "bottom": 0.65 / height, "top": 1 - 0.45 / height, "wspace": 0.03, "hspace": 0.22,
+    })
+    for line, row in zip(axes, rows, strict=True):
+        pictures = (_shown(thinned(row.target)), _shown(thinned(row.fit)), thinned(row.difference[None])[0].numpy())
+        for axis, picture, name in zip(line, pictures, ("target", "fit", "fit less target"), strict=True):
+            drawn = axis.imshow(picture, cmap=DIFFERENCE_COLOURS, vmin=-most, vmax=most, interpolation="nearest")
+            axis.set_title(name, fontsize=8, pad=2)
             axis.set_axis_off()
-    return save_figure(figure, path)
+        beyond = "; beyond what the fit saw" if row.beyond else ""
+        said = f"{row.why}: {row.directions}; {row.figures}; {row.brightness}{beyond}"
+        line[0].text(0, 1.09, said, fontsize=8.5, transform=line[0].transAxes, weight="bold")
+    bar = figure.add_axes((0.67, 0.45 / height, 0.31, 0.1 / height))
+    figure.colorbar(drawn, cax=bar, orientation="horizontal").ax.tick_params(labelsize=7)
+    words = "fit less target of the pictures as shown, where white is 1: blue is too dark, red too bright"
+    figure.text(0.65, 0.45 / height, words, fontsize=8, ha="right")
+    return save_figure(figure, path, placed=True)
 
 
 def angle_picture(result: FitResult, path: Path) -> Path:
     """Plot relative error and PSNR against the polar angle of light and of view, for train and held-out samples."""
-    figure, axes = plotting().subplots(1, 2, figsize=(9, 3.4))
+    figure, axes = plotting().subplots(1, 2, figsize=(9, 3.4), layout="constrained")
     styles = (("train", "--"), ("held_out", "-"))
     for which, style in styles:
         part = result.report[which]
@@ -119,15 +123,18 @@ def angle_picture(result: FitResult, path: Path) -> Path:
 
 
 def coverage_picture(result: FitResult, path: Path, mask: Tensor | None = None) -> Path | None:
-    """Draw which share of its unknowns each texel's samples determine; None when the model has no such map.
+    """Draw which share of its unknowns each texel's samples determine; None when all determine the same.
 
     What is outside an object's `mask`, bool [H, W], is left blank.
     """
     if result.coverage is None:
         return None
-    figure, axis = plotting().subplots(figsize=(4.4, 3.6))
-    coverage = result.coverage[0] if mask is None or mask.shape != result.coverage[0].shape else result.coverage[0].where(mask, torch.nan)
-    drawn = axis.imshow(coverage.numpy(), vmin=0, vmax=1, cmap="viridis", interpolation="nearest")
+    coverage = result.coverage[0]
+    inside = torch.ones_like(coverage, dtype=torch.bool) if mask is None or mask.shape != coverage.shape else mask
+    if float(coverage[inside].max() - coverage[inside].min()) < 1e-6:
+        return None  # a sentence says it
+    figure, axis = plotting().subplots(figsize=(4.4, 3.6), layout="constrained")
+    drawn = axis.imshow(coverage.where(inside, torch.nan).numpy(), vmin=0, vmax=1, cmap="viridis", interpolation="nearest")
     axis.set_title("share of unknowns determined", fontsize=9)
     axis.set_axis_off()
     figure.colorbar(drawn)
@@ -136,10 +143,10 @@ def coverage_picture(result: FitResult, path: Path, mask: Tensor | None = None) 
 
 def history_picture(result: FitResult, path: Path) -> Path | None:
     """Plot the error of an iterative fit against seconds; None for a closed form."""
-    if not result.history:
+    if len(result.history) < 2:
         return None
     seconds, errors = zip(*result.history, strict=True)
-    figure, axis = plotting().subplots(figsize=(4.4, 3.4))
+    figure, axis = plotting().subplots(figsize=(4.4, 3.4), layout="constrained")
     axis.semilogy(seconds, errors, marker=".")
     axis.set_xlabel("seconds")
     axis.set_ylabel("mean squared residual of the solver")
@@ -147,14 +154,15 @@ def history_picture(result: FitResult, path: Path) -> Path | None:
     return save_figure(figure, path)
 
 
-def sphere_picture(result: FitResult, path: Path, size: int = 384) -> Path:
-    """Draw the material on a sphere under two lights, one picture each."""
+def sphere_picture(result: FitResult, path: Path, size: int = 320) -> Path:
+    """Draw the material on a sphere under two lights, one picture each, before a neutral grey."""
     lights = ((-0.4, 0.5, 0.768), (0.85, 0.2, 0.487))
-    figure, axes = plotting().subplots(1, len(lights), figsize=(4 * len(lights), 4))
+    figure, axes = plotting().subplots(1, len(lights), figsize=(6.4, 3.5), layout="constrained")
     for axis, light in zip(axes, lights, strict=True):
-        picture = render(result.material, "sphere", [light], size=size, repeat=2.0)
-        axis.imshow(_shown(picture))
-        axis.set_title(f"light ({light[0]:g}, {light[1]:g}, {light[2]:g})", fontsize=8)
+        scene = Scene("sphere", [light], size=size, repeat=2.0)
+        picture = on_neutral(scene.picture(result.material), scene.visible(result.material.dtype).coverage)
+        axis.imshow(_shown(picture.float()))
+        axis.set_title(f"light {degrees(polar_deg(torch.tensor(light)))}", fontsize=9)
         axis.set_axis_off()
     return save_figure(figure, path)
 
@@ -162,18 +170,18 @@ def sphere_picture(result: FitResult, path: Path, size: int = 384) -> Path:
 def directions_picture(btf: Btf, path: Path) -> Path:
     """Draw where lights and views lie on the projected hemisphere, rings every 30 degrees."""
     pyplot = plotting()
-    figure, axes = pyplot.subplots(1, 2, figsize=(8, 4))
+    figure, axes = pyplot.subplots(1, 2, figsize=(7, 3.7), layout="constrained")
     for axis, name, directions in zip(axes, ("lights", "views"), (btf.lights, btf.views), strict=True):
         for polar in (30, 60, 90):
-            radius = float(torch.sin(torch.deg2rad(torch.tensor(float(polar)))))
+            radius = math.sin(math.radians(polar))
             axis.add_patch(pyplot.Circle((0, 0), radius, fill=False, color="0.8", linewidth=0.8))
+            axis.text(0, -radius, f"{polar}°", fontsize=7, color="0.5", ha="center", va="center", backgroundcolor="white")
         axis.plot(directions[:, 0].numpy(), directions[:, 1].numpy(), ".", markersize=5)
-        axis.set_title(f"{len(directions)} {name}", fontsize=9)
-        axis.set_xlim(-1.05, 1.05)
-        axis.set_ylim(-1.05, 1.05)
+        axis.set_title(f"{len(directions)} {name}, by polar angle", fontsize=9)
+        axis.set_xlim(-1.1, 1.1)
+        axis.set_ylim(-1.1, 1.1)
         axis.set_aspect("equal")
-        axis.set_xlabel("x")
-        axis.set_ylabel("y")
+        axis.set_axis_off()
     return save_figure(figure, path)
 
 
@@ -194,10 +202,13 @@ def mask_picture(btf: Btf, path: Path) -> Path | None:
     return save_figure(figure, path)
 
 
-def write_pictures(btf: Btf, result: FitResult, folder: Path, show: bool | None = False) -> list[Path]:
-    """Write all pictures of a fit into `folder`; return their paths. `show` the progress, None on a terminal only."""
+def write_pictures(btf: Btf, result: FitResult, folder: Path, rows: Sequence[Shown], show: bool | None = False) -> list[Path]:
+    """Write all pictures of a fit into `folder`, of `rows` the comparison; return their paths.
+
+    `show` the progress, None on a terminal only.
+    """
     drawings: list[Callable[[], Path | None]] = [
-        lambda: comparison_picture(btf, result, folder / "comparison.png"),
+        lambda: comparison_picture(rows, folder / "comparison.png"),
         lambda: angle_picture(result, folder / "error_by_angle.png"),
         lambda: sphere_picture(result, folder / "sphere.png"),
         lambda: coverage_picture(result, folder / "coverage.png", btf.mask),
@@ -232,7 +243,7 @@ def oblique_picture(btf: Btf, result: FitResult, path: Path) -> Path:
         with torch.no_grad():
             pictures = (btf.image(sample), result.material.shade(light, view), flat.shade(light, view))
         scale = max(float(pictures[0].flatten().sort().values[int(0.99 * (pictures[0].numel() - 1))]), 1e-6)
-        directions = f"light {_degrees(btf.light[sample])}, view {_degrees(btf.view[sample])}"
+        directions = f"light {degrees(polar_deg(btf.light[sample]))}, view {degrees(polar_deg(btf.view[sample]))}"
         names = (f"measured: {directions}", "predicted on the relief", "without parallax and shadow")
         for axis, picture, name in zip(line, pictures, names, strict=True):
             axis.imshow(_shown(picture.float() / scale), interpolation="nearest")

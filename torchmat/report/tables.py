@@ -11,30 +11,10 @@ from pathlib import Path
 from typing import Any
 
 from torchmat.fitting.evaluate import NotMeasured
+from torchmat.report.words import COMPARED
 
 FIGURES = ("relative_error", "psnr_db", "psnr_log_db", "ssim", "delta_e", "mse")
-COMPARE_MEANINGS = {
-    "model": "The model and its options, as the command line takes them.",
-    "solver": "How its numbers are found.",
-    "geometry": "Flat, or the relief that was recovered; \"flat (recover)\" where none was found worth it.",
-    "bytes_per_texel": "Bytes of the textures' codes per texel.",
-    "shared_bytes": "Bytes of what all texels share: tables and numbers.",
-    "total_bytes_per_texel": "Both together, per texel of this data.",
-    "fit_seconds": "Seconds of the fit, the images already decoded: the median of all repeats.",
-    "fit_seconds_spread": "The longest less the shortest of the repeats.",
-    "fit_memory_mb": "The most memory that the fit took beyond what was held before it, in MB. Where a curve is drawn "
-    "and nothing repeated, measuring it is included.",
-    "shade_mtexels_per_s": "Million texels shaded a second under one light and view.",
-    "train_relative_error": "Relative error on samples that the fit saw.",
-    "relative_error": "Relative error on held-out samples, the same for all models.",
-    "psnr_db": "PSNR there, in dB.",
-    "relative_error_after_export": "Relative error on held-out samples of what the textures hold.",
-    "psnr_db_after_export": "PSNR of that, in dB.",
-    "stop_reason": "Why the solver stopped; \"budget spent\": it would have gone on.",
-    "front": "In what no other row is both better and cheaper: bytes, seconds, shading.",
-    "same_bits": "Whether all repeats gave the same bits; a fit that a budget stopped need not.",
-    "failed": "Why there is no result.",
-}
+COMPARE_MEANINGS = {name: figure.meaning for name, figure in COMPARED.items()}
 COMPARE_COLUMNS = tuple(COMPARE_MEANINGS)
 _ON_A_TERMINAL = (
     "model", "total_bytes_per_texel", "fit_seconds", "fit_seconds_spread", "fit_memory_mb", "shade_mtexels_per_s",

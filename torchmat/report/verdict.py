@@ -124,10 +124,10 @@ def _of_the_measuring(report: Mapping[str, Any], where: str | None) -> list[str]
 
 def _less(one: Mapping[str, Any], other: Mapping[str, Any]) -> float:
     """Return by how many dB the second is worse than the first, 0 where that is not known."""
-    values = (one.get("psnr_db"), other.get("psnr_db"))
-    if any(value is None or not math.isfinite(value) for value in values):
+    better, worse = one.get("psnr_db"), other.get("psnr_db")
+    if better is None or worse is None or not (math.isfinite(better) and math.isfinite(worse)):
         return 0.0
-    return values[0] - values[1]
+    return better - worse
 
 
 def _of_the_fit(report: Mapping[str, Any]) -> list[str]:

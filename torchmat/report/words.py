@@ -60,7 +60,7 @@ GEOMETRIES = {"flat": "flat", "recover": "recovered from the photographs", "give
 _UNITS = {
     "height": "texture widths", "opacity": "share covered, 0 to 1", "ambient": "light, of 1 that falls in", "fresnel": "share reflected head-on, 0 to 1",
     "rotation": "direction; hue on the sheet", "tilt": "share lost, over 0 to 90 degrees", "normal": "unit vector", "index": "share, 0 to 1",
-    "albedo": "share of light, linear", "diffuse": "share of light, linear", "specular_mask": "factor, linear", "slices": "value, linear",
+    "albedo": "share of light, linear", "diffuse": "share of light, linear", "specular_mask": "factor, linear", "specular": "factor, linear; logarithms are shown", "slices": "value, linear",
     "cluster": "number of a cluster", "turn": "k over sine of the angle", "directions": "projected, -1 to 1", "brightest": "value, linear",
     "reflectance": "value, linear", "images": "value, linear", "tint": "factor, linear",
 }

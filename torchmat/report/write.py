@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -15,8 +16,10 @@ from torchmat.models import Distribution, Material
 from torchmat.progress import in_command, phase
 from torchmat.report.decisions_page import decisions_picture, decisions_text
 from torchmat.report.html import fit_page
+from torchmat.report.map_cards import map_cards, parameter_rows
 from torchmat.report.maps import hemisphere_picture, maps_picture
 from torchmat.report.pictures import write_pictures
+from torchmat.report.samples import Measured, Shown, shown_samples
 from torchmat.report.tables import to_json
 
 
@@ -40,23 +43,25 @@ def write_fit(
         if choice:
             (building / "decisions.txt").write_text(decisions_text(choice), encoding="utf-8")
         if pictures:
-            written = _fit_pictures(btf, pictured, result, building / "pictures")
+            rows = shown_samples(btf, pictured)
+            written = _fit_pictures(btf, pictured, result, building / "pictures", rows)
             if choice:
                 written.insert(0, decisions_picture(choice, building / "pictures" / "decisions.png"))
             with phase("writing the report"):
-                (building / "report.html").write_text(fit_page(report, written), encoding="utf-8")
+                page = fit_page(report, written, rows, map_cards(result.material, building), parameter_rows(result.material))
+                (building / "report.html").write_text(page, encoding="utf-8")
 
     return save_material(result.material, folder, _provenance(result.report), companions, force)
 
 
-def _fit_pictures(btf: Btf, pictured: FitResult, result: FitResult, folder: Path) -> list[Path]:
-    """Write the pictures of a fit, `pictured` in the size of the images; return their paths."""
+def _fit_pictures(btf: Btf, pictured: FitResult, result: FitResult, folder: Path, rows: Sequence[Shown]) -> list[Path]:
+    """Write the pictures of a fit, `pictured` in the size of the images, of photographs `rows`; return their paths."""
     with phase("drawing pictures"):
-        written = write_pictures(btf, pictured, folder, in_command())
+        written = write_pictures(btf, pictured, folder, rows, in_command())
     half = half_vector(btf.lights[:, None], btf.views[None], dim=-1).flatten(0, 1)
     with phase("drawing the maps"):
         written.append(maps_picture(result.material, folder / "maps.png", half))
-        written.append(hemisphere_picture(result.material, folder / "hemisphere.png"))
+        written.append(hemisphere_picture(result.material, folder / "hemisphere.png", measured=Measured(btf.lights, btf.views)))
     return written
 
 
