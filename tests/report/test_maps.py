@@ -127,8 +127,9 @@ def test_nine_views_differ_and_stand_where_one_stands(figures, monkeypatch):
     asked = seen_by(monkeypatch, lambda light, view: float(view @ torch.tensor([0.3, 0.1, 0.5])))
     hemisphere_picture(from_picture(), "unused.png", size=16)
     assert titles_of(figures[0]) == [
-        "view 50°/135°", "view 25°/90°", "view 50°/45°", "view 25°/180°", "view 0°/0°", "view 25°/0°", "view 50°/225°", "view 25°/270°",
-        "view 50°/315°",
+        "view 50°/135°", "view 25°/90°", "view 50°/45°",
+        "view 25°/180°", "view 0°/0°", "view 25°/0°",
+        "view 50°/225°", "view 25°/270°", "view 50°/315°",
     ]
     views = np.array([view for _, view in asked])
     assert np.allclose(np.linalg.norm(views, axis=1), 1) and len({tuple(np.round(view, 6)) for view in views}) == 9
@@ -157,7 +158,8 @@ def test_no_picture_is_there_twice(figures, monkeypatch):
 def test_views_beyond_the_measured_are_marked(figures, monkeypatch):
     seen_by(monkeypatch, lambda light, view: float(view @ torch.tensor([0.3, 0.1, 0.5])))
     rows = torch.from_numpy(hemisphere(((0, 1), (60, 12)))).float()
-    hemisphere_picture(from_picture(), "unused.png", 16, Measured(rows, torch.from_numpy(hemisphere(((0, 1), (35, 12)))).float()))
+    narrow = torch.from_numpy(hemisphere(((0, 1), (35, 12)))).float()
+    hemisphere_picture(from_picture(), "unused.png", 16, Measured(rows, narrow))
     marked = [axis.get_title() for axis in figures[0].axes if axis.title.get_color() != "black"]
     assert marked == ["view 50°/135°", "view 50°/45°", "view 50°/225°", "view 50°/315°"]
     assert "orange: beyond the measured directions" in figures[0].get_suptitle()

@@ -12,7 +12,7 @@ from torchmat.report.compare_rows import PICTURE_SIDE, judged
 from torchmat.report.inline import shown_size
 from torchmat.report.page import Markup, Picture, code, page, paragraph, plot, section, text
 from torchmat.report.tables import number
-from torchmat.report.words import COMPARED, figure_of, spaced, stopped
+from torchmat.report.words import COMPARED, SOLVERS, figure_of, spaced, stopped
 
 _PLOTS = {
     "error_against_bytes": "Error against bytes a texel: lower and further left is better.",
@@ -38,7 +38,8 @@ _STYLE = """<style>table.sortable{font-size:.82em}table.sortable th{line-height:
 th button{font:inherit;color:inherit;background:none;border:0;padding:0;text-align:inherit;cursor:pointer}
 th[aria-sort] button::after{content:" \\25B2";font-size:.8em}th[aria-sort=descending] button::after{content:" \\25BC"}
 th .unit{display:block;font-weight:400}tr.front td:first-child{border-left:4px solid var(--mark)}tr.front .mark{color:var(--mark);font-weight:600}
-table.sortable img{margin:0 2px;max-width:none}.pair{white-space:nowrap}table.sortable .text{min-width:9em;max-width:17em;overflow-wrap:anywhere}
+table.sortable img{margin:0 2px;max-width:none}.pair{white-space:nowrap}table.sortable .text{min-width:12em;max-width:17em;overflow-wrap:anywhere}
+table.sortable .text:last-child{min-width:6em}
 table.sortable td,table.sortable th{padding:.4em .5em}</style>"""
 
 
@@ -61,7 +62,7 @@ def comparison_page(title: str, rows: Sequence[Mapping[str, Any]], pictures: Seq
     header += [_head(name) for name in _NUMBERS] + [_head("front", True)]
     body = "".join(_row(row, pictured) for row in rows)
     shown = next((row["picture"] for row in rows if row.get("picture")), None)
-    where = f" The pictures are of one photograph that no fit saw, or the most like it: {shown['directions']} (polar angle/azimuth)." if shown else ""
+    where = f" The pictures are of one photograph: {shown['directions']} (polar angle/azimuth)." if shown else ""
     columns = Markup("".join(
         f"<dt>{text(figure.name)}{f' <span class=unit>{figure.better}</span>' if figure.better else ''}</dt>"
         f"<dd>{text(figure.meaning)} {code(name)}</dd>" for name, figure in COMPARED.items()
@@ -117,7 +118,8 @@ def _row(row: Mapping[str, Any], pictured: bool) -> str:
 
 
 def _model(row: Mapping[str, Any]) -> Markup:
-    notes = [f"{row[name]}".replace("_", " ") for name in ("solver", "geometry") if row.get(name)]
+    solver, geometry = row.get("solver"), row.get("geometry")
+    notes = [text_of for text_of in (solver and SOLVERS.get(solver, spaced(solver)), geometry and spaced(geometry)) if text_of]
     if row.get("stop_reason") not in (None, "converged"):
         notes.append(stopped(row["stop_reason"]))
     if row.get("same_bits") is False:

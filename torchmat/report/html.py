@@ -86,7 +86,8 @@ def _compared(rows: Sequence[Shown]) -> list[Markup]:
 
 def _row(row: Shown, most: float) -> Markup:
     beyond = " Beyond the directions that the fit saw." if row.beyond else ""
-    said = Markup(f"<b>{text(row.why.capitalize())}</b>: {text(f'{row.directions}. {row.figures[:1].upper()}{row.figures[1:]}; {row.brightness}.{beyond}')}")
+    figures = f"{row.directions}. {row.figures[:1].upper()}{row.figures[1:]}; {row.brightness}.{beyond}"
+    said = Markup(f"<b>{text(row.why.capitalize())}</b>: {text(figures)}")
     pictures = (
         ("Target", data_uri(colour.display(thinned(row.target)))), ("Fit", data_uri(colour.display(thinned(row.fit)))),
         ("Difference", data_uri(thinned(row.difference[None]), DIFFERENCE_COLOURS, -most, most)),

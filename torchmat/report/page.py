@@ -12,13 +12,16 @@ from torchmat.report.tables import number
 
 _STYLE = """
 :root{color-scheme:light dark;--ink:#24292f;--soft:#5b6470;--line:#d8dde3;--paper:#fff;--tint:#f4f6f8;--mark:#0a6b4f;--warn:#8a4b00}
-@media(prefers-color-scheme:dark){:root{--ink:#dde2e7;--soft:#9aa4af;--line:#39424c;--paper:#14181c;--tint:#1e242a;--mark:#6fd3ae;--warn:#f0b35a}}
+@media(prefers-color-scheme:dark){:root{
+--ink:#dde2e7;--soft:#9aa4af;--line:#39424c;--paper:#14181c;--tint:#1e242a;--mark:#6fd3ae;--warn:#f0b35a}}
 *{box-sizing:border-box}
 body{font:16px/1.5 system-ui,sans-serif;margin:0 auto;max-width:66em;padding:1.5em 1em 4em;color:var(--ink);background:var(--paper)}
 body.wide{max-width:1264px}
 h1{font-size:1.6em;line-height:1.25;margin:.2em 0 .6em}h2{font-size:1.2em;margin:2.2em 0 .5em;border-top:1px solid var(--line);padding-top:.9em}
-h1,p,li,td,dd,figcaption{overflow-wrap:anywhere}code{font-size:.9em;background:var(--tint);border-radius:3px;padding:.05em .3em;overflow-wrap:anywhere}
-p{max-width:46em}.verdict{font-size:1.2em;line-height:1.4;background:var(--tint);border-left:4px solid var(--mark);padding:.7em 1em;max-width:none}
+h1,p,li,td,dd,figcaption{overflow-wrap:anywhere}
+code{font-size:.9em;background:var(--tint);border-radius:3px;padding:.05em .3em;overflow-wrap:anywhere}
+p{max-width:46em}
+.verdict{font-size:1.2em;line-height:1.4;background:var(--tint);border-left:4px solid var(--mark);padding:.7em 1em;max-width:none}
 .verdict.coarse,.verdict.poor,.verdict.unusable,.verdict.unknown{border-color:var(--warn)}.cautions{color:var(--warn);padding-left:1.3em}
 .soft,figcaption,.unit{color:var(--soft);font-size:.88em}
 .scroll{overflow-x:auto}table{border-collapse:collapse;margin:.6em 0}

@@ -79,7 +79,8 @@ def _judged(report: Mapping[str, Any]) -> tuple[str | None, Mapping[str, Any]]:
 
 
 def _measured(db: float | None, error: float | None) -> str:
-    known = [text for text, value in ((f"{number(db)} dB", db), (f"relative error {number(error)}", error)) if value is not None and math.isfinite(value)]
+    both = ((f"{number(db)} dB", db), (f"relative error {number(error)}", error))
+    known = [text for text, value in both if value is not None and math.isfinite(value)]
     return f" ({', '.join(known)})" if known else ""
 
 

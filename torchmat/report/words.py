@@ -54,18 +54,22 @@ STOPPED = {
     "step limit": "it had made its steps, and would have gone on", "budget spent": "its seconds were spent, and it would have gone on",
     "not finite": "its numbers left the range that can be computed with", "diverged": "the error grew instead of falling",
 }
+SOLVERS = {"lm": "Levenberg-Marquardt", "varpro": "variable projection", "lbfgs": "L-BFGS", "adam": "Adam"}
 SPLITS = {"pair": "pairs of light and view", "light": "whole lights", "view": "whole views", "arc": "arcs of directions"}
 GEOMETRIES = {"flat": "flat", "recover": "recovered from the photographs", "given": "a given height map"}
 # The unit of what a map holds; what has none here is a plain number.
 _UNITS = {
-    "height": "texture widths", "opacity": "share covered, 0 to 1", "ambient": "light, of 1 that falls in", "fresnel": "share reflected head-on, 0 to 1",
+    "height": "texture widths", "opacity": "share covered, 0 to 1", "ambient": "light, of 1 that falls in",
+    "fresnel": "share reflected head-on, 0 to 1",
     "rotation": "direction; hue on the sheet", "tilt": "share lost, over 0 to 90 degrees", "normal": "unit vector", "index": "share, 0 to 1",
-    "albedo": "share of light, linear", "diffuse": "share of light, linear", "specular_mask": "factor, linear", "specular": "factor, linear; logarithms are shown", "slices": "value, linear",
+    "albedo": "share of light, linear", "diffuse": "share of light, linear", "specular_mask": "factor, linear",
+    "specular": "factor, linear; logarithms are shown", "slices": "value, linear",
     "cluster": "number of a cluster", "turn": "k over sine of the angle", "directions": "projected, -1 to 1", "brightest": "value, linear",
     "reflectance": "value, linear", "images": "value, linear", "tint": "factor, linear",
 }
 _COLOURS = {"r": "red", "g": "green", "b": "blue"}
-_SHAPES = {"exponent": "no unit; larger is sharper", "roughness": "slope, no unit; larger is duller", "alpha": "slope, no unit; larger is duller"}
+_DULLER = "slope, no unit; larger is duller"
+_SHAPES = {"exponent": "no unit; larger is sharper", "roughness": _DULLER, "alpha": _DULLER}
 _TERMS = {"hx": "half vector x", "hy": "half vector y", "hz": "half vector z", "cos": "cosine of the light", "1": "constant",
           **{f"{letter}{axis}": f"{what} {axis}" for letter, what in (("l", "light"), ("v", "view")) for axis in "xyz"}}
 
