@@ -111,6 +111,7 @@ light_table = "lights.lp"
 ball = "balls"
 circle = [10.5, 12, 8]
 intensities = "estimate"
+mask = "alpha"
 skip_bad_lights = true
 clipped_weight = 0
 """

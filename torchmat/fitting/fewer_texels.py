@@ -16,6 +16,18 @@ _BLOCK_VALUES = 8_000_000
 _KNOWN = 0.5  # of a texel's area: with less it is unknown
 
 
+def shrunk_mask(mask: Tensor | None, size: Sequence[int]) -> Tensor | None:
+    """Return an object mask [H, W] in `size` (rows, columns): where half of a texel shows the object; None if that is all.
+
+    Where no texel is half object, those count that show any of it.
+    """
+    if mask is None:
+        return None
+    share = functional.adaptive_avg_pool2d(mask[None].float(), (size[0], size[1]))[0]
+    found = share >= _KNOWN if bool((share >= _KNOWN).any()) else share > 0
+    return None if bool(found.all()) else found
+
+
 def averaged(btf: Btf, rows: Tensor, size: Sequence[int], dtype: torch.dtype) -> Btf:
     """Return samples `rows` [k] in `size` (rows, columns) of texels, averaged in linear light.
 
@@ -31,10 +43,6 @@ def averaged(btf: Btf, rows: Tensor, size: Sequence[int], dtype: torch.dtype) ->
         clipped = functional.adaptive_avg_pool2d(btf.clipped(part).to(dtype), shape) > 0
         flags.append(torch.where(there < _KNOWN, INVALID, torch.where(clipped, CLIPPED, VALID))[:, 0].to(torch.uint8))
     pixels = torch.cat(images).numpy()
-    mask = None
-    if btf.mask is not None:
-        share = functional.adaptive_avg_pool2d(btf.mask[None, None].to(dtype), shape)[0, 0]
-        mask = None if bool((share >= _KNOWN).all()) else share >= _KNOWN
     store = summarise(pixels, torch.cat(flags).numpy())
     decoder = Decoder(pixels.dtype, "linear", 1.0)
-    return Btf(store, btf.light[rows], btf.view[rows], decoder, btf.source, btf.clipped_weight, mask=mask)
+    return Btf(store, btf.light[rows], btf.view[rows], decoder, btf.source, btf.clipped_weight, mask=shrunk_mask(btf.mask, size))

@@ -32,7 +32,7 @@ from torchmat.fitting.scene.report import scene_figures
 from torchmat.fitting.tiles.fit import fit_tiled
 from torchmat.fitting.tiles.work import clear_work
 from torchmat.fitting.training import Fitted, Training, make_training
-from torchmat.fitting.wanted import Target, make_target
+from torchmat.fitting.wanted import beside_mask, make_target
 from torchmat.geometry import Relief
 from torchmat.machine import peak_memory_mb, versions
 from torchmat.models import Material
@@ -260,7 +260,7 @@ def _fitted(
             step = "Let it choose on a crop of the images, then fit the model that it picked by tiles."
             fact = "tile_size, memory_mb or work is given"
             raise RangeError(message("fit auto", "the choice", "be made on all texels at once", fact, step))
-        return fit_auto(training, _beside_opacity(make_target("fit", config.target), training.btf), geometry)
+        return fit_auto(training, beside_mask(make_target("fit", config.target), training.btf.mask), geometry)
     if by_tiles:
         return fit_tiled(training, config.model, options, geometry, config.tile_size, config.memory_mb, work)
     return fit_with_geometry(training, config.model, options, geometry)
@@ -278,16 +278,6 @@ def _resolve(
     base = model if isinstance(model, FitConfig) else load_config(model)
     given, wanted = ({name: value for name, value in table.items() if value is not None} for table in (given, wanted))
     return dataclasses.replace(base, **given, target={**base.target, **wanted}, options={**base.options, **options})
-
-
-def _beside_opacity(target: Target, btf: Btf) -> Target:
-    """Return the target of the maps beside the opacity of an object, which takes a byte a texel of what is allowed."""
-    if btf.mask is None or target.bytes is None:
-        return target
-    if target.bytes <= 1:
-        fact = f"it is {target.bytes:.3g} a texel, of which the mask takes 1"
-        raise RangeError(message("fit auto", "bytes", "hold a material and its object mask", fact, "Give more, or mask=\"none\"."))
-    return replace(target, bytes=target.bytes - 1)
 
 
 def _coverage(coverage: Tensor | None, mask: Tensor | None) -> dict[str, float] | None:

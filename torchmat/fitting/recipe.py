@@ -217,7 +217,7 @@ class Recipe:
         return solver
 
     def run(self, training: Training, **options: Any) -> Fitted:
-        """Fit the model to a flat surface by one of its solvers; neutral off the object, where there is a mask."""
+        """Fit the model to a flat surface by one of its solvers; neutral outside of an object mask."""
         return self._run(training, options).settled(training.btf.mask)
 
     def _run(self, training: Training, options: dict[str, Any]) -> Fitted:

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
+
+from torch import Tensor
 
 from torchmat.errors import RangeError, check_known_keys, message
 
@@ -43,3 +45,13 @@ def make_target(where: str, table: Mapping[str, Any]) -> Target:
     """Return the Target of a table; unknown keys are errors that suggest the nearest one."""
     check_known_keys(where, table, TARGET_KEYS)
     return Target(**table)
+
+
+def beside_mask(target: Target, mask: Tensor | None) -> Target:
+    """Return the target of the maps beside an object's `mask`, which takes a byte a texel of what is allowed."""
+    if mask is None or target.bytes is None:
+        return target
+    if target.bytes <= 1:
+        fact = f"it is {target.bytes:.3g} a texel, of which the mask takes 1"
+        raise RangeError(message("fit auto", "bytes", "hold a material and its object mask", fact, "Give more, or mask=\"none\"."))
+    return replace(target, bytes=target.bytes - 1)

@@ -21,6 +21,7 @@ from torchmat import frames
 from torchmat.btf import Btf
 from torchmat.btf.tiling import decided
 from torchmat.errors import FitError, message
+from torchmat.fitting.fewer_texels import shrunk_mask
 from torchmat.fitting.relief.agreement import Agreement, Captured, agreement, capture, on_surface
 from torchmat.fitting.relief.refine import image_gradient, limited
 from torchmat.fitting.training import Training, make_training
@@ -46,7 +47,6 @@ _SHARE = 0.5  # of a limit of seconds: the rest is for what is fitted on the rel
 _SLOPE_ERROR, _SLOPE_SHARE = 0.05, 0.15
 # What a low rank leaves over is no noise: neighbours in angle and space share it. It counts like 3 independent in 1000.
 _INDEPENDENT = 0.003
-_KNOWN = 0.5  # of a coarse texel's area
 _FINE = 4.0  # coarse texels: what is finer is the slopes' alone
 
 
@@ -101,7 +101,7 @@ def recover_relief(training: Training) -> Recovery:
     slopes, confidence = slopes_from_normals(found.normal), found.confidence
     assert confidence is not None  # photometric stereo gives it
     mask = training.btf.mask
-    coarse = _Slopes(_shrink(slopes, size), _shrink(confidence, size), training.tiles, _shrunk_mask(mask, size))
+    coarse = _Slopes(_shrink(slopes, size), _shrink(confidence, size), training.tiles, shrunk_mask(mask, size))
     start = _shrink(found.height, size).float()  # views are compared in single precision, whatever the fit runs in
     start = start - (start if coarse.mask is None else start[:, coarse.mask]).mean()
     captured, flat = _in_time(captured, start, training.watch, until)
@@ -199,15 +199,6 @@ def _flattened(found: Relief) -> Relief:
 
 def _shrink(maps: Tensor, size: Sequence[int]) -> Tensor:
     return functional.adaptive_avg_pool2d(maps, (size[0], size[1]))
-
-
-def _shrunk_mask(mask: Tensor | None, size: Sequence[int]) -> Tensor | None:
-    """Return a mask in `size`: where most of a texel shows the object, or any of it does if none is mostly object."""
-    if mask is None:
-        return None
-    share = _shrink(mask[None].float(), size)[0]
-    found = share >= _KNOWN if bool((share >= _KNOWN).any()) else share > 0
-    return None if bool(found.all()) else found
 
 
 def _search(
