@@ -14,6 +14,7 @@ from torchmat import Btf, load_btf
 from torchmat.btf.background import otsu
 from torchmat.btf.listing import is_mask
 from torchmat.btf.object_mask import read_mask
+from torchmat.btf.tiling import btf_tiling
 from torchmat.errors import DataError, RangeError, ShapeError
 
 LIGHT = hemisphere(((20, 3), (50, 5)))
@@ -216,3 +217,13 @@ def test_parts_of_a_masked_btf_keep_their_mask():
         btf.masked(mask.T)
     with pytest.raises(RangeError, match="true somewhere"):
         btf.masked(~mask & mask)
+
+
+def test_an_object_does_not_repeat():
+    whole = Btf.from_tensors(torch.full((4, 3, 6, 6), 0.5), *(torch.tensor([[0.0, 0.0, 1.0]]).repeat(4, 1),) * 2)
+    mask = torch.ones(6, 6, dtype=torch.bool)
+    mask[0, 0] = False
+    found = btf_tiling(whole.masked(mask))
+    assert btf_tiling(whole).repeats and not found.repeats
+    assert found.sentence() == "it does not repeat: an object mask cuts it out"
+    assert found.report()["masked"] and "masked" not in btf_tiling(whole).report()

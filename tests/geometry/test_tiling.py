@@ -14,7 +14,7 @@ from torchmat.btf.tiling import btf_tiling, decided
 from torchmat.cli import main
 from torchmat.create import material_from_picture
 from torchmat.errors import RangeError
-from torchmat.geometry.tiling import tiling_of
+from torchmat.geometry.tiling import Tiling, tiling_of
 
 SIZE = 16
 _ACROSS = torch.arange(SIZE, dtype=torch.float64)
@@ -51,7 +51,7 @@ def test_an_object_before_a_background_does_not_repeat():
 
 
 def test_what_says_nothing_repeats():
-    assert tiling_of(torch.full((1, 3, 4, 4), 0.3)) == (True, 0.0, 0.0)
+    assert tiling_of(torch.full((1, 3, 4, 4), 0.3)) == Tiling(True, 0.0, 0.0)
     assert tiling_of(torch.rand(4, 3, 32, 32, generator=torch.Generator().manual_seed(0))).repeats
     assert tiling_of(torch.rand(1, 3, 1, 1)).repeats
 

@@ -28,14 +28,18 @@ class Tiling(NamedTuple):
             such step between neighbours within; of rows and columns the larger.
         border: how much its outermost rows and columns vary along themselves, in units of those within; the largest of
             the four.
+        masked: whether an object mask leaves texels out, so that what is left is no texture to lay side by side.
     """
 
     repeats: bool
     seam: float
     border: float
+    masked: bool = False
 
     def sentence(self) -> str:
         """Return what was decided, with its figure."""
+        if self.masked:
+            return "it does not repeat: an object mask cuts it out"
         if self.seam > LARGEST_SEAM:
             return f"it does not repeat: the step across its border is {self.seam:.2f} of the largest inside"
         if not self.repeats:
@@ -44,7 +48,7 @@ class Tiling(NamedTuple):
 
     def report(self) -> dict[str, Any]:
         """Return the figures of a report."""
-        return self._asdict()
+        return {name: value for name, value in self._asdict().items() if name != "masked" or value}
 
 
 def check_tiles(where: str, tiles: object) -> None:
