@@ -34,7 +34,7 @@ TABLES: dict[str, tuple[str, ...]] = {
     "target": ("error", "psnr", "bytes", "seconds"),
     "data": (
         "kind", "encoding", "invalid", "duplicates", "exposure", "crop", "downscale", "lights", "views", "normalise",
-        "light_table", "ball", "circle", "intensities", "skip_bad_lights", "clipped_weight",
+        "light_table", "ball", "circle", "intensities", "skip_bad_lights", "clipped_weight", "mask",
     ),
 }
 CHOICES: dict[str, dict[str, tuple[object, ...]]] = {
