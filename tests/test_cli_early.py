@@ -9,16 +9,25 @@ import sys
 
 import pytest
 
+from torchmat.btf.decode import ENCODINGS
+from torchmat.btf.load import DUPLICATE_WAYS, INVALID_WAYS
+from torchmat.btf.reader import READERS
+from torchmat.btf.split import HOLDOUT_WAYS
 from torchmat.cli import known
+from torchmat.cli.arguments import DataArguments
 from torchmat.cli.early import check_model
 from torchmat.errors import DataError, RangeError
 from torchmat.fitting import RECIPES, FitConfig
 from torchmat.fitting.data_settings import DATA_KEYS
+from torchmat.fitting.evaluate import MEASURES
 from torchmat.fitting.models import linear, phong_srf, shading_map
 from torchmat.fitting.models.spheres import to_btf
 from torchmat.fitting.recipes import default_options
 from torchmat.fitting.wanted import Target
+from torchmat.geometry.from_photographs import INTEGRATIONS
+from torchmat.material_io import packing, relief_folder
 from torchmat.material_io.exporter import EXPORTERS
+from torchmat.models.resample import FILTERS
 from torchmat.models.storage import STORAGES
 from torchmat.rendering.scene import PATCH
 from torchmat.rendering.shapes import SHAPES
@@ -37,6 +46,11 @@ def test_the_names_that_are_known_early_are_those_that_there_are():
     assert known.CONFIG_KEYS == tuple(field.name for field in dataclasses.fields(FitConfig))
     assert known.TABLES == {"target": tuple(field.name for field in dataclasses.fields(Target)), "data": DATA_KEYS}
     assert known.STORAGES == tuple(STORAGES) and known.MESHES == (PATCH, *SHAPES)
+    ours = {name for name, reader in READERS.items() if reader.listing.__module__.startswith("torchmat.")}
+    assert known.ENCODINGS == tuple(ENCODINGS) and known.HOLDOUT_WAYS == HOLDOUT_WAYS and known.MEASURES == MEASURES
+    assert known.FILTERS == FILTERS and known.INTEGRATIONS == INTEGRATIONS and known.PACK_DEPTHS == packing.DEPTHS
+    assert known.RELIEF_DEPTHS == relief_folder.DEPTHS and {*known.KINDS} == ours
+    assert DataArguments.words == {"encoding": ENCODINGS, "invalid": INVALID_WAYS, "duplicates": DUPLICATE_WAYS}
     assert {*known.EXPORTERS} == {*EXPORTERS} == {*known.known_exporters()}
 
 
@@ -77,6 +91,16 @@ def test_the_choices_that_are_known_early_are_those_that_the_models_take():
     (("render", "stones", "--mesh", "bunny.obj"), "bunny.obj: the path must exist"),
     (("render", "stones", "--scene", "teapto.toml"), "teapto.toml: the path must exist"),
     (("export", "stones", "--to", "pakced"), "Did you mean 'packed'?"),
+    (("fit", "ptm", "--set", "holdout=2"), "config: holdout must lie in [0, 1); it is 2."),
+    (("fit", "ptm", "--set", "holdout_by=lights"), "Did you mean 'light'?"),
+    (("fit", "ptm", "--measure", "ful"), "Did you mean 'full'?"),
+    (("fit", "ptm", "--kind", "manifets"), "Did you mean 'manifest'?"),
+    (("compare", "--holdout", "-1"), "compare: holdout must lie in [0, 1); it is -1.0."),
+    (("fit-many", "ptm", "stones", "--downscale", "0"), "fit-many: downscale must be at least 1; it is 0."),
+    (("render", "stones", "--size", "0"), "render: size must be at least 1; it is 0."),
+    (("blend", "stones", "stones", "--weight", "3"), "blend: weight must lie in [0, 1]; it is 3.0."),
+    (("create", "stones", "--storage", "png9"), "Did you mean 'png8'?"),
+    (("geometry", "stones", "--depth", "99"), "geometry: depth must be one of '16', 'float'"),
 ])
 def test_a_misspelt_name_is_reported_before_torch_is_there(arguments, words, tmp_path):
     (tmp_path / "stones").mkdir()

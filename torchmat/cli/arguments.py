@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
+from torchmat.cli.known import ENCODINGS, FROM_1, POSITIVE
 from torchmat.progress import phase
 
 SAMPLE = "sample"
@@ -18,6 +19,8 @@ class DataArguments:
     """How the images are read."""
 
     reads: ClassVar = ("lights", "ball", "mask_file")
+    words: ClassVar = {"encoding": ENCODINGS, "invalid": ("error", "mask"), "duplicates": ("error", "keep")}
+    bounds: ClassVar = {"exposure": POSITIVE, "downscale": FROM_1, "clipped_weight": ("lie in [0, 1]", 0, 1)}
     cache: Path | None = None
     """Folder for decoded images (default: the user's cache folder, or $TORCHMAT_CACHE)."""
     no_cache: bool = False

@@ -9,6 +9,7 @@ from typing import Annotated, ClassVar
 import tyro
 
 from torchmat.cli.arguments import check_out
+from torchmat.cli.known import FILTERS
 from torchmat.progress import phase
 
 _GREY = 0.02  # how far the channels of a picture of weights may lie apart, as those of a grey JPEG do
@@ -19,6 +20,8 @@ class Blend:
     """Make the material between two: everywhere by one weight, or here the one and there the other by a mask."""
 
     reads: ClassVar = ("first", "second", "mask")
+    words: ClassVar = {"filter": FILTERS}
+    bounds: ClassVar = {"weight": ("lie in [0, 1]", 0, 1)}
 
     first: Annotated[str, tyro.conf.Positional]
     """Material folder (or .3pm) where the weight is 0; the result has its size, tiling and storage."""

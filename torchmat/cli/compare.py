@@ -9,6 +9,7 @@ from typing import Annotated, ClassVar
 import tyro
 
 from torchmat.cli.arguments import SAMPLE, DataArguments
+from torchmat.cli.known import FROM_1, HOLDOUT_WAYS, MEASURES, POSITIVE, SHARE
 from torchmat.progress import phase
 
 
@@ -17,6 +18,8 @@ class Compare:
     """Fit several models to one BTF and print and plot speed against error."""
 
     reads: ClassVar = ("data",)
+    words: ClassVar = {"measure": MEASURES[1:], "holdout_by": HOLDOUT_WAYS}
+    bounds: ClassVar = {"holdout": SHARE, "budget": POSITIVE, "repeats": FROM_1}
 
     data: Annotated[str, tyro.conf.Positional] = SAMPLE
     """Folder or zip of images, or a BRDF file; `sample` is the one that ships with the package."""

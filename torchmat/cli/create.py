@@ -8,6 +8,7 @@ from typing import Annotated, ClassVar
 
 import tyro
 
+from torchmat.cli.known import ENCODINGS, FROM_1, POSITIVE, STORAGES
 from torchmat.progress import phase
 
 
@@ -17,6 +18,8 @@ class Create:
     measured BRDF, or of photographs of a sphere."""
 
     reads: ClassVar = ("path",)
+    words: ClassVar = {"storage": STORAGES, "encoding": ENCODINGS}
+    bounds: ClassVar = {"exposure": POSITIVE, "picture_size": FROM_1, "lobes": FROM_1}
 
     path: Annotated[str, tyro.conf.Positional]
     """A picture; a folder of textures, named as ambientCG, Poly Haven, FreePBR, Quixel, Substance, Poliigon and others name

@@ -4,22 +4,26 @@ from __future__ import annotations
 
 import difflib
 import os
+import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from torchmat.cli.arguments import SAMPLE
-from torchmat.cli.known import CHOICES, CONFIG_KEYS, STORAGES, TABLES, known_options
-from torchmat.errors import DataError, check_known_keys, check_option, message
+from torchmat.cli.known import CHOICES, CONFIG_KEYS, HOLDOUT_WAYS, SHARE, STORAGES, TABLES, Bound, known_kinds, known_options
+from torchmat.errors import DataError, RangeError, check_known_keys, check_option, message
 from torchmat.places import right_place
 from torchmat.shipped import find_file, shipped_names
 from torchmat.text_file import parse_value, read_toml
 
 
+_NAMES = re.compile("(?<=[a-z])(?=[A-Z])")  # FitMany is fit-many
+
+
 def check_early(command: Any) -> None:
     """Raise DataError or RangeError for arguments that no data is needed to refuse.
 
-    A command names in `reads` those of its arguments that are paths to read, as those of its `read` do (how images are
+    Of a command `words` says which words some of its arguments can be, and `bounds` which numbers. It names in `reads` those of its arguments that are paths to read, as those of its `read` do (how images are
     read), and may have a method `check_names`. The rest is checked where it is used, with the same words.
     """
     for part in (command, getattr(command, "read", None)):
@@ -27,11 +31,31 @@ def check_early(command: Any) -> None:
             value = getattr(part, name)
             for path in value if isinstance(value, list | tuple) else [value]:
                 check_there(path)
-    for name in ("out", "write_lights", "plot"):
-        for part in (command, getattr(command, "read", None)):
+    for part in (command, getattr(command, "read", None)):
+        kind = getattr(part, "kind", None)
+        if kind is not None:
+            check_option("load_btf", "kind", kind, known_kinds())
+        _check_arguments(_NAMES.sub("-", type(command).__name__).lower(), part)
+        for name in ("out", "write_lights", "plot"):
             check_place(getattr(part, name, None))
     if hasattr(command, "check_names"):
         command.check_names()
+
+
+def _check_arguments(where: str, part: Any) -> None:
+    """Raise RangeError for a word or a number that an argument cannot be: see `words` and `bounds` of commands."""
+    for name, words in getattr(part, "words", {}).items():
+        if getattr(part, name) is not None:
+            check_option(where, name, getattr(part, name), words)
+    for name, bound in getattr(part, "bounds", {}).items():
+        if getattr(part, name) is not None:
+            _check_bound(where, name, getattr(part, name), bound)
+
+
+def _check_bound(where: str, name: str, value: float, bound: Bound) -> None:
+    requirement, least, largest = bound
+    if not least <= value <= largest:
+        raise RangeError(message(where, name, requirement, f"it is {value}"))
 
 
 def check_there(path: str | Path | None) -> None:
@@ -82,8 +106,13 @@ def _check_setting(model: str, text: str, models: Mapping[str, Sequence[str]]) -
         check_known_keys("--set", [inner], TABLES[table], _places(model))
     elif not inner:
         check_known_keys("--set", [key], (*CONFIG_KEYS, *models[model]), _places(model))
+        found = parse_value(value)
         if key not in CONFIG_KEYS:
-            _check_value(model, key, parse_value(value))
+            _check_value(model, key, found)
+        elif key == "holdout_by":
+            check_option("config", key, found, HOLDOUT_WAYS)
+        elif key == "holdout" and isinstance(found, int | float):
+            _check_bound("config", key, found, SHARE)
     return model
 
 

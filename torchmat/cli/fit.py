@@ -11,6 +11,7 @@ import tyro
 
 from torchmat.cli.again import Run, read_run, run_of
 from torchmat.cli.arguments import SAMPLE, DataArguments, data_of, still_free
+from torchmat.cli.known import MEASURES
 
 
 @dataclass
@@ -18,6 +19,7 @@ class Fit:
     """Fit a material to a BTF and write it with its report and pictures."""
 
     reads: ClassVar = ("given", "data")
+    words: ClassVar = {"measure": MEASURES}
 
     model: Annotated[str | None, tyro.conf.Positional, tyro.conf.arg(metavar="MODEL|CONFIG")] = None
     """Name of a model with its defaults (`torchmat models` lists them; `auto` chooses), or with .toml a config: its path,

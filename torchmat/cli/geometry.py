@@ -9,6 +9,7 @@ from typing import Annotated, ClassVar
 import tyro
 
 from torchmat.cli.arguments import DataArguments
+from torchmat.cli.known import INTEGRATIONS, RELIEF_DEPTHS
 from torchmat.progress import phase
 
 
@@ -17,6 +18,7 @@ class Geometry:
     """Recover height and normals: from a BTF, from photographs of one view under known lights, or from one picture."""
 
     reads: ClassVar = ("path",)
+    words: ClassVar = {"depth": RELIEF_DEPTHS, "integration": INTEGRATIONS}
 
     path: Annotated[str, tyro.conf.Positional]
     """BTF or RTI capture, a folder of photographs with --lights or --ball, or one picture."""

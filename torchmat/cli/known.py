@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import sys
 
+Bound = tuple[str, float, float]  # what a number must do, and the least and the largest that does
+
 CONFIG_KEYS = (
     "model", "options", "holdout", "holdout_by", "seed", "geometry", "tiles", "target", "tile_size", "memory_mb", "data",
 )
@@ -53,6 +55,16 @@ CHOICES: dict[str, dict[str, tuple[object, ...]]] = {
     },
 }
 STORAGES = ("half", "float", "png8", "png16", "tiff8", "tiff16", "paint8", "paint16")
+ENCODINGS = ("auto", "srgb", "linear", "xyz")
+KINDS = ("manifest", "rti", "ubo2003", "utia", "stereo", "brdf")
+HOLDOUT_WAYS = ("pair", "light", "view", "arc")
+MEASURES = ("none", "quick", "full")
+FILTERS = ("bilinear", "nearest", "area")
+INTEGRATIONS, RELIEF_DEPTHS, PACK_DEPTHS = ("fourier", "poisson"), ("16", "float"), (8, 16)
+RAYS = (1, 4, 9, 16)
+POSITIVE: Bound = ("be positive", 5e-324, sys.float_info.max)
+FROM_1: Bound = ("be at least 1", 1, sys.float_info.max)
+SHARE: Bound = ("lie in [0, 1)", 0, 1 - 2**-53)
 EXPORTERS = ("folder", "3pm", "packed")
 MESHES = ("patch", "quad", "cube", "sphere", "torus", "teapot")
 
@@ -61,6 +73,12 @@ def known_exporters() -> tuple[str, ...]:
     """Return the names of exporters: as they stand here, or where the package is loaded those of all registered ones."""
     loaded = sys.modules.get("torchmat.material_io.exporter")
     return EXPORTERS if loaded is None else tuple(loaded.EXPORTERS)
+
+
+def known_kinds() -> tuple[str, ...]:
+    """Return the names of readers: as they stand here, or where the package is loaded those of all registered ones."""
+    loaded = sys.modules.get("torchmat.btf.reader")
+    return KINDS if loaded is None else (*KINDS, *loaded.READERS)
 
 
 def known_options() -> dict[str, tuple[str, ...]]:

@@ -9,6 +9,7 @@ from typing import Annotated, ClassVar
 import tyro
 
 from torchmat.cli.export import Export
+from torchmat.cli.known import PACK_DEPTHS
 
 
 @dataclass
@@ -16,6 +17,7 @@ class Pack:
     """Join the maps of a distribution material into few textures for a shader: the same as `export --to packed`."""
 
     reads: ClassVar = ("material",)
+    words: ClassVar = {"depth": PACK_DEPTHS}
 
     material: Annotated[str, tyro.conf.Positional]
     """Material folder of a distribution material."""

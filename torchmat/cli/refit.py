@@ -9,6 +9,7 @@ from typing import Annotated, Any, ClassVar
 import tyro
 
 from torchmat.cli.arguments import SAMPLE, DataArguments, check_out, data_of, names_of, provenance_of, still_free
+from torchmat.cli.known import FROM_1, HOLDOUT_WAYS, POSITIVE, SHARE
 
 
 @dataclass
@@ -16,6 +17,8 @@ class Refit:
     """Fit some maps of an edited material anew and keep the others, to the bit, as they were painted."""
 
     reads: ClassVar = ("material", "given", "data")
+    words: ClassVar = {"holdout_by": HOLDOUT_WAYS}
+    bounds: ClassVar = {"holdout": SHARE, "effort": POSITIVE, "steps": FROM_1}
 
     material: Annotated[str, tyro.conf.Positional]
     """Material folder, painted over or not."""

@@ -10,6 +10,7 @@ from typing import Annotated, Any, ClassVar
 import tyro
 
 from torchmat.cli.arguments import DataArguments
+from torchmat.cli.known import FROM_1, POSITIVE, RAYS
 from torchmat.progress import phase
 from torchmat.shipped import find_file
 
@@ -26,6 +27,8 @@ class Render:
     """Show a material, a measured BRDF or a BTF as it was measured on objects: pictures, turntables, light sweeps."""
 
     reads: ClassVar = ("material", "environment")
+    words: ClassVar = {"rays": RAYS}
+    bounds: ClassVar = {"size": FROM_1, "exposure": POSITIVE, "environment_lights": FROM_1}
 
     material: Annotated[str, tyro.conf.Positional]
     """Material folder, shading map (.3pm), BRDF file (.binary, .bsdf), or a BTF."""
