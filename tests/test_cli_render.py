@@ -131,7 +131,10 @@ def test_a_path_that_is_nothing(tmp_path, capsys):
     (("--mesh", "cube", "a/cube.obj"), "two are called cube"),
     (("--mesh", "cube", "--repeat", 0), "size and repeat must be positive"),
 ])
-def test_arguments_that_do_not_go_together(folder, arguments, words, capsys):
+def test_arguments_that_do_not_go_together(folder, arguments, words, capsys, tmp_path, monkeypatch):
+    (tmp_path / "a").mkdir()
+    (tmp_path / "a" / "cube.obj").touch()
+    monkeypatch.chdir(tmp_path)
     assert run(folder, "--size", 8, *arguments) == 2
     assert words in capsys.readouterr().err
     assert not (folder / "pictures").exists()

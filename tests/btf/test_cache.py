@@ -477,7 +477,8 @@ def test_a_limit_that_is_no_size(tmp_path, root, monkeypatch, text):
     assert stores(root) == []
 
 
-def test_quiet_unless_asked(tmp_path, capfd):
+def test_quiet_unless_asked(tmp_path, capfd, monkeypatch):
+    monkeypatch.setattr("torchmat.progress._DELAY", 0.0)  # what is over sooner has no bar
     load_btf(put_btf(tmp_path / "d"))
     assert capfd.readouterr() == ("", "")
     load_btf(tmp_path / "d", cache=False, progress=True)

@@ -36,7 +36,7 @@ TABLES: dict[str, tuple[str, ...]] = {
     "target": ("error", "psnr", "bytes", "seconds"),
     "data": (
         "kind", "encoding", "invalid", "duplicates", "exposure", "crop", "downscale", "lights", "views", "normalise",
-        "light_table", "ball", "circle", "intensities", "skip_bad_lights", "clipped_weight", "mask",
+        "light_table", "ball", "circle", "intensities", "mask", "skip_bad_lights", "clipped_weight",
     ),
 }
 CHOICES: dict[str, dict[str, tuple[object, ...]]] = {
