@@ -105,7 +105,7 @@ def no_plots(monkeypatch):
 
     for name in ("maps_picture", "hemisphere_picture"):
         monkeypatch.setattr(write, name, lambda material, path, *rest, **more: path.with_name("maps.png"))
-    monkeypatch.setattr(write, "write_pictures", lambda btf, result, folder, rows: [])
+    monkeypatch.setattr(write, "write_pictures", lambda *given: [])
 
 
 @pytest.mark.parametrize("name, options", [
