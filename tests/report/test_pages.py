@@ -105,7 +105,7 @@ def no_plots(monkeypatch):
 
     for name in ("maps_picture", "hemisphere_picture"):
         monkeypatch.setattr(write, name, lambda material, path, *rest, **more: path.with_name("maps.png"))
-    monkeypatch.setattr(write, "write_pictures", lambda btf, result, folder, rows: [])
+    monkeypatch.setattr(write, "write_pictures", lambda *given: [])
 
 
 @pytest.mark.parametrize("name, options", [
@@ -217,6 +217,15 @@ def test_what_is_off_an_object_is_grey_and_counts_nowhere():
     assert row.target[0, 0].tolist() == pytest.approx([1.0, 0.214]) and row.fit[0, 0].tolist() == pytest.approx([0.5, 0.214])
     assert float(row.difference[0, 1]) == 0 and float(row.difference[0, 0]) < 0
     assert difference_range([row]) == pytest.approx(0.3)  # 1 less the display value of 0.5 is 0.26
+
+
+def test_the_page_of_an_object_shows_its_mask_and_no_sphere(btf, tmp_path):
+    masked = btf.masked(torch.ones(8, 9, dtype=torch.bool).triu(-2), "cat.png")
+    folder = write_fit(masked, tm.fit(masked, "ptm", measure="quick"), tmp_path / "out")
+    names = {path.stem for path in (folder / "pictures").iterdir()}
+    assert "object_mask" in names and "sphere" not in names
+    read = Reading((folder / "report.html").read_text("utf-8"))
+    assert "What counts as the object" in read.text and "% of the texels, by cat.png" in read.text
 
 
 def test_directions_beyond_the_measured_are_found():

@@ -210,7 +210,8 @@ def write_pictures(btf: Btf, result: FitResult, folder: Path, rows: Sequence[Sho
     drawings: list[Callable[[], Path | None]] = [
         lambda: comparison_picture(rows, folder / "comparison.png"),
         lambda: angle_picture(result, folder / "error_by_angle.png"),
-        lambda: sphere_picture(result, folder / "sphere.png"),
+        # One thing before a background covers no other.
+        lambda: None if btf.mask is not None else sphere_picture(result, folder / "sphere.png"),
         lambda: coverage_picture(result, folder / "coverage.png", btf.mask),
         lambda: history_picture(result, folder / "error_by_seconds.png"),
         lambda: directions_picture(btf, folder / "directions.png"),
