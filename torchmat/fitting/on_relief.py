@@ -38,7 +38,7 @@ def fit_on_relief(
     height = height if window is None else window.crop(height)
     fitted = recipe_of(model).run_on_relief(surface, height, options)
     if fitted is not None:
-        return fitted
+        return fitted.with_material(fitted.material.with_relief(training.relief))
     shadowed, usual = ambient_and_usual(surface)
     fitted = fit_flat(without_shadow(surface, shadowed), model, options)
     material = fitted.material.on_relief(height, shadowed)
@@ -46,9 +46,9 @@ def fit_on_relief(
 
 
 def fit_flat(training: Training, model: str, options: dict[str, Any]) -> Fitted:
-    """Fit a model to a flat surface, which repeats or not as the training says."""
+    """Fit a model to a flat surface, which repeats, and is followed where it gets a height, as the training says."""
     fitted = recipe_of(model).run(training, **options)
-    return replace(fitted, material=fitted.material.repeating(training.tiles))
+    return replace(fitted, material=fitted.material.repeating(training.tiles).with_relief(training.relief))
 
 
 def fit_with_geometry(
