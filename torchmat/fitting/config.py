@@ -38,6 +38,7 @@ class FitConfig:
             of the model "auto" leaves the relief to the data.
         relief: how the surface is followed where it has a height, "fast" or "fine" (`Material`); None is fine for a whole fit
             of one model on a relief that is recovered, else fast.
+        finish: whether a fit on a fine relief ends with steps on the pictures themselves, where that pays.
         tiles: whether the surface repeats at its borders; "auto" asks the images (`tiling_of`).
         target: what is wanted: of "auto" `error` (relative), `psnr` (dB), `bytes` a texel; of any model `seconds`.
         tile_size: side, in texels, of the tiles that are fitted one after the other; 0 is no wish.
@@ -52,6 +53,7 @@ class FitConfig:
     seed: int = 0
     geometry: str | None = None
     relief: str | None = None
+    finish: bool = True
     tiles: bool | str = AUTO_TILES
     target: dict[str, Any] = field(default_factory=dict)
     tile_size: int = 0
@@ -96,7 +98,7 @@ class FitConfig:
 def _typed(where: str, table: dict[str, Any]) -> dict[str, Any]:
     kinds: dict[str, Any] = {
         "model": str, "options": dict, "holdout": (int, float), "holdout_by": str, "seed": int, "geometry": str,
-        "relief": str, "tiles": (bool, str), "target": dict, "tile_size": int, "memory_mb": (int, float), "data": dict,
+        "relief": str, "finish": bool, "tiles": (bool, str), "target": dict, "tile_size": int, "memory_mb": (int, float), "data": dict,
     }
     for key, value in table.items():
         if not isinstance(value, kinds[key]) or (isinstance(value, bool) and key != "tiles"):

@@ -11,12 +11,14 @@ from torch import Tensor
 
 from torchmat.errors import FitError, RangeError
 from torchmat.fitting.evaluate import evaluate
+from torchmat.fitting.finish import finish
 from torchmat.fitting.geometry import Flat, Geometry, Given, check_height
 from torchmat.fitting.recipe import recipe_of
 from torchmat.fitting.relief.recover import recover_relief
 from torchmat.fitting.relief.surface import Sight, ambient_and_usual, bring_onto, without_shadow
 from torchmat.fitting.relief.window import Window
 from torchmat.fitting.training import Fitted, Training
+from torchmat.models.relief_maps import FINE
 from torchmat.progress import working
 from torchmat.solvers.clock import Watch
 from torchmat.solvers.stop_reasons import BUDGET
@@ -65,7 +67,8 @@ def fit_with_geometry(
     time is left for more the surface is flat: the reason is "budget spent" either way.
     """
     if isinstance(geometry, Given):
-        return fit_on_relief(training, model, options, check_height(geometry.height, training.btf))
+        fitted = fit_on_relief(training, model, options, check_height(geometry.height, training.btf))
+        return _finished(training, fitted, options, moves=False)
     if isinstance(geometry, Flat):
         return fit_flat(training, model, options)
     start = time.perf_counter()
@@ -91,8 +94,15 @@ def fit_with_geometry(
         fitted = fit_flat(training, model, options)
     else:
         fitted = replace(fit_on_relief(training, model, options, height), relief=relief)
+        fitted = _finished(training, fitted, options, moves=True)
     figures = {**fitted.figures, "geometry": {**figures, "chosen": chosen}}
     return replace(fitted, stop_reason=BUDGET if cut else fitted.stop_reason, figures=figures)
+
+
+def _finished(training: Training, fitted: Fitted, options: dict[str, Any], moves: bool) -> Fitted:
+    """Return a fit after its finish, where one is wanted; of as many steps as the effort of the fit says."""
+    wanted = training.finish and training.relief == FINE
+    return finish(training, fitted, moves, options.get("effort", 1.0)) if wanted else fitted
 
 
 def not_recovered(error: Exception) -> dict[str, str]:
