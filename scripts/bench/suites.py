@@ -10,6 +10,7 @@ import auto
 import busy
 import compare
 import compiled
+import finish
 import meshes
 import objects
 import reliefs
@@ -211,7 +212,7 @@ def large() -> list[dict[str, Any]]:
 SUITES = {
     "accuracy": accuracy, "pipeline": pipeline, "start_up": start_up, "loading": loading, "shading": shading, "large": large,
     "geometry": reliefs.geometry, "relief": reliefs.relief, "distribution": reliefs.distribution,
-    "compiled": compiled.measure, "auto": auto.auto, "scale": scale.scale, "scene": scene.scene,
+    "finish": finish.finish, "compiled": compiled.measure, "auto": auto.auto, "scale": scale.scale, "scene": scene.scene,
     "shading_maps": shading_maps.shading_maps,
     "objects": objects.objects, "meshes": meshes.meshes, "compare": compare.compare, "solvers": solvers.solvers, "busy": busy.busy, "signs": signs.signs,
     "sphere_images": spheres.sphere_images, "sphere_sizes": spheres.sphere_sizes, "sphere_shading": spheres.sphere_shading,

@@ -67,7 +67,7 @@ def fits() -> dict[str, tuple[str, dict[str, Any]]]:
     found = {name: (model, {"geometry": "flat", **options}) for name, (model, options) in found.items()}
     for model in ("lambert", "hsh", "phong_srf", "pca", "distribution"):
         found[f"{model}, on a relief"] = model, {"geometry": _GIVEN, **small.get(model, {})}
-    return found | {"lambert, recovered": ("lambert", {"geometry": "recover"})}
+    return found | {"lambert, recovered": ("lambert", {"geometry": "recover", "relief": "fast"})}
 
 
 def results(cached: bool = False, only: Sequence[str] | None = None) -> dict[str, dict[str, Any]]:

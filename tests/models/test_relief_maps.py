@@ -106,13 +106,17 @@ def hit_of(height: np.ndarray, view: np.ndarray, u: float, v: float, tiles: bool
     return u + z * du, v + z * dv
 
 
-def shadow_at(height: np.ndarray, light: np.ndarray, u: float, v: float, tiles: bool) -> float:
-    """The share of the light at u, v. The ray is asked as often as the package documents: once a texel."""
+def clearance_at(height: np.ndarray, light: np.ndarray, u: float, v: float, tiles: bool) -> float:
+    """By how much the light's ray is free at u, v. The ray is asked as often as the package documents: once a texel."""
     rows, columns = height.shape
     du, dv = oracle.slope_of(light, height.shape)
     steps = math.ceil(math.hypot(du * columns, dv * rows) * float(height.max() - height.min())) + 2
-    free = oracle.least_clearance(height, light, u, v, tiles, steps)
-    return min(max(free / SOFTNESS + 0.5, 0.0), 1.0)
+    return oracle.least_clearance(height, light, u, v, tiles, steps)
+
+
+def shadow_at(height: np.ndarray, light: np.ndarray, u: float, v: float, tiles: bool) -> float:
+    """The share of the light at u, v."""
+    return min(max(clearance_at(height, light, u, v, tiles) / SOFTNESS + 0.5, 0.0), 1.0)
 
 
 def centre_of(row: int, column: int, shape: tuple[int, int]) -> tuple[float, float]:

@@ -26,6 +26,36 @@ def bilinear(height: np.ndarray, u: float, v: float, tiles: bool) -> float:
     return upper * (1 - fy) + lower * fy
 
 
+def cubic(height: np.ndarray, u: float, v: float, tiles: bool) -> float:
+    """Return the height at u, v by Catmull and Rom's cubic convolution (Keys 1981, a = -0.5)."""
+    rows, columns = height.shape
+    x, y = u * columns - 0.5, (1 - v) * rows - 0.5
+    left, top = math.floor(x), math.floor(y)
+
+    def weight(distance: float) -> float:
+        d = abs(distance)
+        if d <= 1:
+            return 1.5 * d**3 - 2.5 * d**2 + 1
+        return -0.5 * d**3 + 2.5 * d**2 - 4 * d + 2 if d < 2 else 0.0
+
+    total = 0.0
+    for row in range(top - 1, top + 3):
+        for column in range(left - 1, left + 3):
+            r = row % rows if tiles else min(max(row, 0), rows - 1)
+            c = column % columns if tiles else min(max(column, 0), columns - 1)
+            total += weight(x - column) * weight(y - row) * float(height[r, c])
+    return total
+
+
+def refined(height: np.ndarray, factor: int, tiles: bool) -> np.ndarray:
+    """Return the height at `factor` times its resolution, texel by texel."""
+    rows, columns = height.shape[0] * factor, height.shape[1] * factor
+    found = np.zeros((rows, columns))
+    for row, column in np.ndindex(rows, columns):
+        found[row, column] = cubic(height, (column + 0.5) / columns, 1 - (row + 0.5) / rows, tiles)
+    return found
+
+
 def slope_of(direction: np.ndarray, shape: tuple[int, int]) -> tuple[float, float]:
     """Return du, dv for each unit of height along `direction`, u in texture widths, v in texture heights."""
     return direction[0] / direction[2], direction[1] / direction[2] * shape[1] / shape[0]

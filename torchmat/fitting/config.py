@@ -18,6 +18,7 @@ from torchmat.fitting.recipe import recipe_of
 from torchmat.fitting.recipes import AUTO, RECIPES, default_options, resolve_options
 from torchmat.geometry.tiling import AUTO_TILES, check_tiles
 from torchmat.fitting.wanted import Target, make_target
+from torchmat.models.relief_maps import RELIEFS
 from torchmat.places import right_place
 from torchmat.shipped import find_file, shipped_names
 from torchmat.text_file import parse_value, read_toml
@@ -35,6 +36,9 @@ class FitConfig:
         seed: seed of the split and of the solvers, from 0.
         geometry: "flat", "recover", or the path of a height map; None is the model's own way (`Recipe.geometry`), and
             of the model "auto" leaves the relief to the data.
+        relief: how the surface is followed where it has a height, "fast" or "fine" (`Material`); None is fine for a whole fit
+            of one model on a relief that is recovered, else fast.
+        finish: whether a fit on a fine relief ends with steps on the pictures themselves, where that pays.
         tiles: whether the surface repeats at its borders; "auto" asks the images (`tiling_of`).
         target: what is wanted: of "auto" `error` (relative), `psnr` (dB), `bytes` a texel; of any model `seconds`.
         tile_size: side, in texels, of the tiles that are fitted one after the other; 0 is no wish.
@@ -48,6 +52,8 @@ class FitConfig:
     holdout_by: str = "pair"
     seed: int = 0
     geometry: str | None = None
+    relief: str | None = None
+    finish: bool = True
     tiles: bool | str = AUTO_TILES
     target: dict[str, Any] = field(default_factory=dict)
     tile_size: int = 0
@@ -58,6 +64,8 @@ class FitConfig:
         resolve_options(self.model, self.options)
         if self.geometry is not None:
             check_word("config", self.geometry, self.model == AUTO)
+        if self.relief is not None:
+            check_option("config", "relief", self.relief, RELIEFS)
         make_target("config [target]", self.target)
         for name in ("tile_size", "memory_mb"):
             if not 0 <= getattr(self, name) < math.inf:
@@ -90,7 +98,7 @@ class FitConfig:
 def _typed(where: str, table: dict[str, Any]) -> dict[str, Any]:
     kinds: dict[str, Any] = {
         "model": str, "options": dict, "holdout": (int, float), "holdout_by": str, "seed": int, "geometry": str,
-        "tiles": (bool, str), "target": dict, "tile_size": int, "memory_mb": (int, float), "data": dict,
+        "relief": str, "finish": bool, "tiles": (bool, str), "target": dict, "tile_size": int, "memory_mb": (int, float), "data": dict,
     }
     for key, value in table.items():
         if not isinstance(value, kinds[key]) or (isinstance(value, bool) and key != "tiles"):

@@ -22,7 +22,7 @@ from torchmat.fitting.choice.choose import fit_auto
 from torchmat.fitting.config import FitConfig, load_config
 from torchmat.fitting.evaluate import MEASURES, evaluate, evaluate_parts, nothing_measured, shading_rate
 from torchmat.fitting.from_material import check_free, fit_from, kept_names, onward_of
-from torchmat.fitting.geometry import AUTO_RELIEF, RECOVER, Geometry, resolve_geometry
+from torchmat.fitting.geometry import AUTO_RELIEF, RECOVER, Geometry, Recover, resolve_geometry
 from torchmat.fitting.objective import described
 from torchmat.fitting.on_relief import fit_with_geometry
 from torchmat.fitting.recipe import recipe_of
@@ -37,6 +37,7 @@ from torchmat.geometry import Relief
 from torchmat.machine import peak_memory_mb, versions
 from torchmat.models import Material
 from torchmat.models.masked import cut_out
+from torchmat.models.relief_maps import FAST, FINE
 from torchmat.progress import working
 from torchmat.scene_use import SceneUse, Usable, as_use
 from torchmat.solvers.clock import Watch
@@ -80,6 +81,8 @@ def fit(
     holdout_by: str | None = None,
     seed: int | None = None,
     geometry: Geometry | str | Path | Tensor | np.ndarray | None = None,
+    relief: str | None = None,
+    finish: bool | None = None,
     tiles: bool | str | None = None,
     error: float | None = None,
     psnr: float | None = None,
@@ -112,6 +115,11 @@ def fit(
             [1, H, W] in texture widths over the plane of the images, or the path of one, is taken as it is. None is the
             config's, or the model's own way (`Recipe.geometry`): "recover" for "distribution" and "neural", where there is
             anything to recover it from, and "flat" for most.
+        relief: how a surface that has a height is followed, in the fit and whenever the material is shaded: "fast", texel by texel,
+            or "fine", between texels, with shadow where each ray ends. None is fine for a whole fit of one model on a relief that
+            is recovered, else fast.
+        finish: whether a fit on a fine relief ends with steps whose loss is taken on the pictures themselves, in which a height
+            that was recovered moves along; kept where it pays. Usually True.
         tiles: whether the surface repeats at its borders; usually "auto", which asks the images and says so in the report.
         error, psnr: of "auto", the relative error or the dB on held-out samples that the smallest material must reach.
         bytes: of "auto", the most bytes a texel, shared tables included.
@@ -133,7 +141,8 @@ def fit(
     Raises RangeError for unknown models or options, FitError when the data cannot determine the model.
     """
     given = {
-        "holdout": holdout, "holdout_by": holdout_by, "seed": seed, "tiles": tiles, "tile_size": tile_size, "memory_mb": memory_mb,
+        "holdout": holdout, "holdout_by": holdout_by, "seed": seed, "relief": relief, "finish": finish, "tiles": tiles,
+        "tile_size": tile_size, "memory_mb": memory_mb,
     }
     wanted = {"error": error, "psnr": psnr, "bytes": bytes, "seconds": seconds}
     how = FULL if measure is True else NONE if measure is False else measure
@@ -142,7 +151,7 @@ def fit(
         raise RangeError(message("fit", "dtype", "be torch.float32 or torch.float64", f"it is {dtype}"))
     if isinstance(model, Material):
         others = {"geometry": geometry, "scene": scene, "tile_size": tile_size, "memory_mb": memory_mb, "work": work, **wanted}
-        _refuse_beside_a_material({**others, "seconds": None, "tiles": tiles})
+        _refuse_beside_a_material({**others, "seconds": None, "relief": relief, "finish": finish, "tiles": tiles})
         task = _of_material(btf, model, options, given, seconds, dtype)
     else:
         task = _by_name(model, given, wanted, geometry, options, scene, work)
@@ -252,9 +261,11 @@ def _fitted(
     work: str | Path | None,
 ) -> Fitted:
     """Return what the config asks for: a model, whole or tile by tile, or the choice among models; for a scene or all."""
+    by_tiles = config.tile_size or config.memory_mb or work is not None
+    usual = FINE if isinstance(geometry, Recover) and config.model != AUTO and not by_tiles else FAST
+    training = replace(training, relief=config.relief or usual, finish=config.finish)
     if scene is not None:
         return fit_for_scene(training, config, options, geometry, scene, work)
-    by_tiles = config.tile_size or config.memory_mb or work is not None
     if config.model == AUTO:
         if by_tiles:
             step = "Let it choose on a crop of the images, then fit the model that it picked by tiles."

@@ -126,7 +126,8 @@ class Descending:
     """
 
     def __init__(self, training: Training, material: Material, kept: Sequence[str], objective: str | Residual) -> None:
-        self.training, self.material, self.kept, self.objective = training, material, kept, objective
+        self.training = training = replace(training, relief=material.relief)
+        self.material, self.kept, self.objective = material, kept, objective
         self.surface = bring_onto(training, self._height) if material.has_relief else None
         bare = material.surface()
         specs, values = list(bare.own_specs()), dict(bare.maps.items())

@@ -11,12 +11,14 @@ from torch import Tensor
 
 from torchmat.errors import FitError, RangeError
 from torchmat.fitting.evaluate import evaluate
+from torchmat.fitting.finish import finish
 from torchmat.fitting.geometry import Flat, Geometry, Given, check_height
 from torchmat.fitting.recipe import recipe_of
 from torchmat.fitting.relief.recover import recover_relief
 from torchmat.fitting.relief.surface import Sight, ambient_and_usual, bring_onto, without_shadow
 from torchmat.fitting.relief.window import Window
 from torchmat.fitting.training import Fitted, Training
+from torchmat.models.relief_maps import FINE
 from torchmat.progress import working
 from torchmat.solvers.clock import Watch
 from torchmat.solvers.stop_reasons import BUDGET
@@ -38,7 +40,7 @@ def fit_on_relief(
     height = height if window is None else window.crop(height)
     fitted = recipe_of(model).run_on_relief(surface, height, options)
     if fitted is not None:
-        return fitted
+        return fitted.with_material(fitted.material.with_relief(training.relief))
     shadowed, usual = ambient_and_usual(surface)
     fitted = fit_flat(without_shadow(surface, shadowed), model, options)
     material = fitted.material.on_relief(height, shadowed)
@@ -46,9 +48,9 @@ def fit_on_relief(
 
 
 def fit_flat(training: Training, model: str, options: dict[str, Any]) -> Fitted:
-    """Fit a model to a flat surface, which repeats or not as the training says."""
+    """Fit a model to a flat surface, which repeats, and is followed where it gets a height, as the training says."""
     fitted = recipe_of(model).run(training, **options)
-    return replace(fitted, material=fitted.material.repeating(training.tiles))
+    return replace(fitted, material=fitted.material.repeating(training.tiles).with_relief(training.relief))
 
 
 def fit_with_geometry(
@@ -65,7 +67,8 @@ def fit_with_geometry(
     time is left for more the surface is flat: the reason is "budget spent" either way.
     """
     if isinstance(geometry, Given):
-        return fit_on_relief(training, model, options, check_height(geometry.height, training.btf))
+        fitted = fit_on_relief(training, model, options, check_height(geometry.height, training.btf))
+        return _finished(training, fitted, options, moves=False)
     if isinstance(geometry, Flat):
         return fit_flat(training, model, options)
     start = time.perf_counter()
@@ -91,8 +94,15 @@ def fit_with_geometry(
         fitted = fit_flat(training, model, options)
     else:
         fitted = replace(fit_on_relief(training, model, options, height), relief=relief)
+        fitted = _finished(training, fitted, options, moves=True)
     figures = {**fitted.figures, "geometry": {**figures, "chosen": chosen}}
     return replace(fitted, stop_reason=BUDGET if cut else fitted.stop_reason, figures=figures)
+
+
+def _finished(training: Training, fitted: Fitted, options: dict[str, Any], moves: bool) -> Fitted:
+    """Return a fit after its finish, where one is wanted; of as many steps as the effort of the fit says."""
+    wanted = training.finish and training.relief == FINE
+    return finish(training, fitted, moves, options.get("effort", 1.0)) if wanted else fitted
 
 
 def not_recovered(error: Exception) -> dict[str, str]:

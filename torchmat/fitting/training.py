@@ -15,6 +15,7 @@ from torchmat.fitting.shared import Shared
 from torchmat.geometry import Relief
 from torchmat.models import Material
 from torchmat.models.masked import neutral_outside
+from torchmat.models.relief_maps import FAST
 from torchmat.solvers.clock import Watch
 from torchmat.solvers.stop_reasons import CLOSED_FORM
 
@@ -25,9 +26,11 @@ _Kind = TypeVar("_Kind", bound=Shared)
 class Training:
     """The samples a fit may look at: `used` is bool [sample], lights above the horizon and not held out.
 
-    `tiles` says that the surface repeats. `importance` [sample] is what a sample counts (None: all alike); `watch` is
-    the fit's clock. `shared` is what all texels have in common where that is known already (`Fitted.shared`), else None: a
-    fit that is given it finds only what each texel has of its own, whatever other texels there are.
+    `tiles` says that the surface repeats, `relief` how one that has a height is followed (`Material`), `finish`
+    whether fits on a fine one are finished (`fitting.finish`). `importance` [sample] is what a sample counts (None: all
+    alike); `watch` is the fit's clock. `shared` is what all texels have in common where that is known already
+    (`Fitted.shared`), else None: a fit that is given it finds only what each texel has of its own, whatever other texels
+    there are.
     """
 
     btf: Btf
@@ -39,6 +42,8 @@ class Training:
     importance: Tensor | None = None
     watch: Watch = field(default_factory=Watch)
     shared: Shared | None = None
+    relief: str = FAST
+    finish: bool = False
 
     def table(self, name: str) -> Tensor | None:
         """Return a map that all texels share where it is known already."""

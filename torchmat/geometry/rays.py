@@ -23,6 +23,7 @@ from torchmat.planes import common_lead
 
 _STEPS_PER_TEXEL = 1.0
 REFINEMENTS = 4
+_SHORTEST = 1e-6  # run for each unit of height
 SHIFT_TEXELS = 10_000  # maps of at least so many texels are moved whole along a shared ray rather than looked up
 _LARGEST_SLOPE = math.tan(math.radians(88.0))  # beyond, a ray crosses many tiles before it meets anything
 
@@ -208,7 +209,7 @@ def clearance(height: Tensor, direction: Tensor, uv: Tensor | None = None, tiles
     uv, slope, lead = _batched("clearance", height, direction, uv)
     span = float(height.detach().max() - height.detach().min())
     field = _Field(height, uv, slope, tiles, centres, span)
-    run = _length(slope).clamp(min=1e-6)  # distance along the plane for each unit of height
+    run = _length(slope).clamp(min=_SHORTEST)  # distance along the plane for each unit of height
     start = field.along(torch.zeros_like(run))
     least = (1 / run).expand_as(start)  # what a flat surface leaves free
     shares = islice(_walk(slope, span, *height.shape[-2:]), 1, None) if span > 0 else ()
@@ -216,6 +217,40 @@ def clearance(height: Tensor, direction: Tensor, uv: Tensor | None = None, tiles
         z = span * share
         least = torch.minimum(least, (start + z - field.along(z)) / (z * run))
     return least.reshape(*lead, *least.shape[1:])
+
+
+class Obstacles(NamedTuple):
+    """What comes nearest to rays from texel centres: they pass it `rise` [n, 1, H, W] above where they start.
+
+    `slope` [n, 2, 1, 1] is how far they move in uv for each unit of height.
+    """
+
+    rise: Tensor
+    slope: Tensor
+
+    def clearance(self, height: Tensor, tiles: bool, which: Tensor) -> Tensor:
+        """Return the clearance of rays `which` [k] on `height` [1, H, W], a little other perhaps; its gradient is the true one.
+
+        That of a least value is the gradient of what is least where it is least.
+        """
+        rise, slope = self.rise[which], self.slope[which]
+        over = look_up(height[None], texel_centres(height.shape[-2], height.shape[-1], height.dtype) + rise * slope, tiles)
+        return (height + rise - over) / (rise * _length(slope).clamp(min=_SHORTEST))
+
+
+def find_obstacles(height: Tensor, direction: Tensor, tiles: bool = True) -> Obstacles:
+    """Return what `clearance` finds along `direction` [n, 3, 1, 1], and where, without gradients."""
+    uv, slope, _ = _batched("find_obstacles", height, direction, None)
+    span = max(float(height.max() - height.min()), torch.finfo(height.dtype).tiny)
+    field = _Field(height, uv, slope, tiles, True, span)
+    run = _length(slope).clamp(min=_SHORTEST)
+    start = field.along(torch.zeros_like(run))
+    least, rise = torch.full_like(start, math.inf), torch.full_like(start, span)
+    for share in islice(_walk(slope, span, *height.shape[-2:]), 1, None):
+        z = span * share
+        here = (start + z - field.along(z)) / (z * run)
+        rise, least = torch.where(here < least, z, rise), torch.minimum(least, here)
+    return Obstacles(rise, slope)
 
 
 def soft_shadow(

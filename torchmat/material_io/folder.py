@@ -22,6 +22,7 @@ from torchmat.images import write_image
 from torchmat.machine import package_version
 from torchmat.material_io.exporter import LOSS, Exporter, Losses, exporter_of_file
 from torchmat.models import Material
+from torchmat.models.relief_maps import FAST
 from torchmat.models.storage import STORAGES, Codes, MapSpec, StoredTexture, check_map
 from torchmat.progress import phase
 from torchmat.text_file import read_json
@@ -77,6 +78,8 @@ def manifest_of(
     }
     if material.cutout is not None:
         manifest["cutout"] = material.cutout.as_table()
+    if material.has_relief and material.relief != FAST:
+        manifest["relief"] = material.relief
     if material.stored:
         manifest["stored"] = {name: one.as_table() for name, one in material.stored.items()}
     return manifest

@@ -26,7 +26,7 @@ from torchmat.machine import package_version
 from torchmat.material_io.exporter import LOSS, Exporter, Losses
 from torchmat.models import Distribution, Material
 from torchmat.models.cutout import Cutout
-from torchmat.models.relief_maps import HEIGHT
+from torchmat.models.relief_maps import FAST, HEIGHT
 from torchmat.models.storage import Codes, MapSpec, decode, encode
 from torchmat.text_file import read_json
 from torchmat.written import write_record
@@ -140,6 +140,7 @@ def unpack(folder: str | Path) -> Distribution:
 
 def _settings(material: Material) -> dict[str, Any]:
     found = {"model": material.name, "options": material.options, "tiles": material.tiles, "storage": material.storage}
+    found |= {} if material.relief == FAST else {"relief": material.relief}
     return found if material.cutout is None else found | {"cutout": material.cutout.as_table()}
 
 
@@ -264,7 +265,8 @@ def _assembled(planes: dict[str, Tensor], settings: dict[str, Any]) -> Distribut
         maps["normal"] = normals_from_slopes(slopes - slopes_from_height(maps["height"], tiles=settings["tiles"]))
         options["parts"] = sorted({*options["parts"], "normal"})
     cutout = None if settings.get("cutout") is None else Cutout.of_table(settings["cutout"])
-    return Distribution(maps, tiles=settings["tiles"], storage=settings["storage"], cutout=cutout, **options)
+    same = {"tiles": settings["tiles"], "storage": settings["storage"], "relief": settings.get("relief", FAST)}
+    return Distribution(maps, **same, cutout=cutout, **options)
 
 
 def _read_description(path: Path) -> dict[str, Any]:

@@ -17,6 +17,7 @@ from torchmat.material_io.painted import check_hues, in_channels, in_size
 from torchmat.material_io.volume import is_volume, read_volume
 from torchmat.models import MATERIALS, Material
 from torchmat.models.cutout import Cutout
+from torchmat.models.relief_maps import FAST
 from torchmat.models.resample import restored
 from torchmat.models.storage import Codes, MapSpec, StoredAs, decode
 from torchmat.text_file import read_json
@@ -148,6 +149,7 @@ def load_material(path: str | Path) -> Material:
         maps = _read_maps(folder, manifest, stored) | _read_numbers(manifest, stored)
         options = dict(manifest["options"])
         settings = {"storage": manifest["storage"], "tiles": manifest["tiles"], "stored": stored}
+        settings["relief"] = manifest.get("relief", FAST)  # folders from before it could be chosen
         if "cutout" in manifest:
             settings["cutout"] = Cutout.of_table(manifest["cutout"])
         return MATERIALS[manifest["model"]](maps, **settings, **options)

@@ -13,7 +13,7 @@ from torch import Tensor, nn
 from torchmat.errors import RangeError, ShapeError, about_map, check_known_keys, check_option, message
 from torchmat.geometry.rays import look_up
 from torchmat.models.cutout import Cutout
-from torchmat.models.relief_maps import COMMON_MAPS, OPACITY, RELIEF_MAPS, covered, shade_points, shade_texels
+from torchmat.models.relief_maps import COMMON_MAPS, FAST, OPACITY, RELIEF_MAPS, RELIEFS, covered, shade_points, shade_texels
 from torchmat.models.storable import Storable
 from torchmat.models.storage import STORAGES, MapSpec, StoredAs, check_map, check_stored
 from torchmat.repeatable import wide_product
@@ -34,6 +34,7 @@ class Material(Storable):
         tiles: whether the surface repeats.
         stored: maps that are stored smaller or in another way, by name (`stored_at`); None is none.
         cutout: which part of a larger texture the maps are; None is all of it.
+        relief: how a height is followed: "fast", texel by texel, or "fine", between texels, with shadow where each ray ends.
         options: what the subclass asks for.
     """
 
@@ -44,14 +45,16 @@ class Material(Storable):
 
     def __init__(
         self, maps: Mapping[str, Tensor], *, storage: str = "half", tiles: bool = True,
-        stored: Mapping[str, StoredAs] | None = None, cutout: Cutout | None = None, **options: Any,
+        stored: Mapping[str, StoredAs] | None = None, cutout: Cutout | None = None, relief: str = FAST, **options: Any,
     ) -> None:
         super().__init__()
         check_option(self.name, "storage", storage, STORAGES)
+        check_option(self.name, "relief", relief, RELIEFS)
         check_known_keys(f"{self.name} options", options, self._option_names())
         self.storage = storage
         self.tiles = tiles
         self.cutout = cutout
+        self.relief = relief
         self._check_cutout()
         self.options = options
         self._parts = tuple(one for one in COMMON_MAPS if one.name in maps)
@@ -212,6 +215,10 @@ class Material(Storable):
     def repeating(self, tiles: bool) -> Self:
         """Return the same material, repeating at its borders or not."""
         return self._like(dict(self.maps), tiles=tiles)
+
+    def with_relief(self, relief: str) -> Self:
+        """Return the same maps on a relief that is followed as said: "fast" or "fine"."""
+        return self if relief == self.relief else self._like(dict(self.maps), relief=relief)
 
     @property
     def has_relief(self) -> bool:

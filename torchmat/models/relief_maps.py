@@ -9,6 +9,7 @@ import torch
 from torch import Tensor, nn
 
 from torchmat.geometry.rays import look_up, soft_shadow, texel_centres, trace_view
+from torchmat.models.fine_relief import FineRays, fine_rays, refined, seen_along
 from torchmat.models.storage import MapSpec
 from torchmat.planes import common_lead
 
@@ -21,6 +22,7 @@ OPACITY = MapSpec(
     "opacity", "share of a texel that the surface covers", layer_channels=1, low=0.0, high=1.0, fixed_range=True, fixed=True,
 )
 COMMON_MAPS = (*RELIEF_MAPS, OPACITY)
+FAST, FINE = RELIEFS = ("fast", "fine")  # how a relief is followed
 _RAYS = ((-0.25, -0.25), (0.25, -0.25), (-0.25, 0.25), (0.25, 0.25))  # where in a texel its rays start
 
 
@@ -50,14 +52,16 @@ def shade_texels(material, light: Tensor, view: Tensor) -> Tensor:
         return height.new_zeros(*lead, 3, *material.size)
     above = (light[:, 2:] > 0) & (view[:, 2:] > 0)
     light, view = _raised(light, above), _raised(view, above)
-    seen = shade_along(material, light, view, rays(height, light, view, tiles))
+    seen = shade_along(material, light, view, rays(height, light, view, tiles, material.relief))
     seen = torch.where(above, seen, torch.zeros((), dtype=seen.dtype))
     return seen.reshape(*lead, *seen.shape[1:])
 
 
-def rays(height: Tensor, light: Tensor, view: Tensor, tiles: bool) -> Rays:
-    """Return what directions [n, 3, 1, 1] above the horizon meet on `height` [1, H, W]."""
+def rays(height: Tensor, light: Tensor, view: Tensor, tiles: bool, relief: str = FAST) -> Rays | FineRays:
+    """Return what directions [n, 3, 1, 1] above the horizon meet on `height` [1, H, W]; `relief` is one of RELIEFS."""
     (few_lights, which_light), (few_views, which_view) = _distinct(light), _distinct(view)
+    if relief == FINE:
+        return fine_rays(height, few_lights, which_light, few_views, which_view, tiles)
     shadow = soft_shadow(height, few_lights, tiles=tiles)[which_light]
     rows, columns = height.shape[-2:]
     centres = texel_centres(rows, columns, height.dtype)
@@ -68,15 +72,20 @@ def rays(height: Tensor, light: Tensor, view: Tensor, tiles: bool) -> Rays:
     return Rays(shadow, ends, which_view)
 
 
-def shade_along(material, light: Tensor, view: Tensor, met: Rays) -> Tensor:
-    """Return what is seen [n, 3, H, W] along rays that have been followed: the mean of four rays a texel.
+def shade_along(material, light: Tensor, view: Tensor, met: Rays | FineRays) -> Tensor:
+    """Return what is seen [n, 3, H, W] along rays that have been followed: the mean of those of a texel, four in the fast way.
 
     A pixel is a square, and where a silhouette crosses it, it shows both sides: on deep relief that is 0.5 dB. Each ray
     looks up what it has moved by from the texel's centre, so that without parallax nothing is blurred.
     """
-    shaded = material.surface().shade(light, view) * met.shadow
-    if "ambient" in material.maps:
-        shaded = shaded + material.maps["ambient"]
+    shaded = material.surface().shade(light, view)
+    ambient = material.maps["ambient"] if "ambient" in material.maps else None
+    if isinstance(met, FineRays):
+        ambient = None if ambient is None else covered(material.maps, ambient)
+        return seen_along(covered(material.maps, shaded), ambient, met, material.tiles).clamp(min=0)
+    shaded = shaded * met.shadow
+    if ambient is not None:
+        shaded = shaded + ambient
     shaded = covered(material.maps, shaded)
     total = torch.zeros((), dtype=shaded.dtype)
     for end in met.ends:
@@ -102,6 +111,7 @@ def _shade_picture(material, uv: Tensor, light: Tensor, view: Tensor) -> Tensor:
     height, tiles = material.maps["height"], material.tiles
     above = (light[2:] > 0) & (view[2:] > 0)
     light, view = _raised(light, above), _raised(view, above)
+    height = refined(height, tiles) if material.relief == FINE else height
     hit = trace_view(height, view, uv, tiles).uv
     picture = material.surface().at(hit).shade(light, view) * soft_shadow(height, light, uv=hit, tiles=tiles)
     if "ambient" in material.maps:

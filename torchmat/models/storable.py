@@ -25,6 +25,7 @@ class Storable(nn.Module):
     stored: dict[str, StoredAs]
     tiles: bool
     cutout: Cutout | None
+    relief: str
     options: dict[str, Any]
 
     def specs(self) -> tuple[MapSpec, ...]:
@@ -43,7 +44,7 @@ class Storable(nn.Module):
     def settings(self, maps: Mapping[str, Tensor]) -> dict[str, Any]:
         """Return the keywords besides the options that make a material of other `maps` be stored and tile like this."""
         stored = {name: one for name, one in self.stored.items() if name in maps}
-        return {"storage": self.storage, "tiles": self.tiles, "stored": stored, "cutout": self.cutout}
+        return {"storage": self.storage, "tiles": self.tiles, "stored": stored, "cutout": self.cutout, "relief": self.relief}
 
     def _like(self, maps: Mapping[str, Tensor], **changed: Any) -> Self:
         return type(self)(maps, **{**self.settings(maps), **changed}, **self.options)

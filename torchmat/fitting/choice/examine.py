@@ -20,6 +20,7 @@ from torchmat.fitting.training import Training
 from torchmat.fitting.wanted import Target
 from torchmat.metrics import psnr, relative
 from torchmat.models import Material
+from torchmat.models.fine_relief import FineRays
 from torchmat.models.relief_maps import Rays, rays, shade_along
 from torchmat.repeatable import one_thread
 
@@ -91,7 +92,7 @@ class Examiner:
         self._texels = _some_texels(training.btf, training.seed)
         self._whole: list[_Batch] | None = None
         self._part: list[_Batch] | None = None
-        self._rays: list[tuple[Tensor, list[Rays]]] = []
+        self._rays: list[tuple[Tensor, str, list[Rays | FineRays]]] = []
         self._known: WeakKeyDictionary[Material, Measured] = WeakKeyDictionary()
 
     def measure(self, material: Material) -> Measured:
@@ -141,15 +142,15 @@ class Examiner:
             batches.append(_Batch(*directions, *planes))
         return batches if texels is None else [_Batch(*(torch.cat(planes) for planes in zip(*batches, strict=True)))]
 
-    def _followed(self, material: Material, batches: list[_Batch]) -> list[Rays]:
-        height = material.maps["height"].detach()
-        for known, met in self._rays:
-            if known.dtype == height.dtype and torch.equal(known, height):
+    def _followed(self, material: Material, batches: list[_Batch]) -> list[Rays | FineRays]:
+        height, way = material.maps["height"].detach(), material.relief
+        for known, followed, met in self._rays:
+            if followed == way and known.dtype == height.dtype and torch.equal(known, height):
                 return met
-        met = [rays(height, *batch.directions(height.dtype), material.tiles) for batch in batches]
+        met = [rays(height, *batch.directions(height.dtype), material.tiles, way) for batch in batches]
         kept = _KEPT_RAYS // (self.samples * height.numel())
         kept = min(_MOST_KEPT, max(_FEWEST_KEPT, kept))
-        self._rays = [*self._rays[1 - kept :], (height.clone(), met)]
+        self._rays = [*self._rays[1 - kept :], (height.clone(), way, met)]
         return met
 
 

@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import DTypeLike
 import torch
+import torch.nn.functional as functional
 from torch import Tensor
 
 from torchmat.btf import Btf
@@ -23,12 +24,15 @@ from torchmat.fitting.relief.window import Window, surroundings
 from torchmat.fitting.training import Training
 from torchmat.geometry import slopes_from_height
 from torchmat.geometry.rays import look_up, ray_slope, soft_shadow, texel_centres, visible
+from torchmat.models.fine_relief import FACTOR, refined
+from torchmat.models.relief_maps import FINE
 from torchmat.progress import progress
 from torchmat.repeatable import one_thread
 
 IN_MEMORY = 1_000_000_000  # bytes of resampled images; more go to a temporary file, of which the system maps what is used
 BLOCK = 4_000_000  # values resampled at a time
 _RAYS = 500_000  # walked at a time
+_SEEN = 0.5  # of a texel
 _LIT = 0.5  # samples that get less of the light say more of the ambient than of the texel
 _DARK = 0.2  # and those below say nothing else
 
@@ -77,16 +81,24 @@ class Sight(NamedTuple):
 
 
 def look_along(training: Training, height: Tensor) -> Sight:
-    """Return what each view and each light sees of `height` [1, H, W], all texels of it."""
+    """Return what each view and each light sees of `height` [1, H, W], all texels of it.
+
+    On a fine relief a texel is lit as much as it is on average, and seen where most of it is.
+    """
     btf, dtype = training.btf, training.dtype
-    height = height.to(dtype)
-    seen = torch.empty(len(btf.views), *height.shape, dtype=torch.bool)
-    lit = torch.empty(len(btf.lights), *height.shape, dtype=dtype)
+    fine = training.relief == FINE
+    size, height = height.shape, refined(height.to(dtype), training.tiles) if fine else height.to(dtype)
+    seen = torch.empty(len(btf.views), *size, dtype=torch.bool)
+    lit = torch.empty(len(btf.lights), *size, dtype=dtype)
     some = max(1, _RAYS // height.numel())
+
+    def by_texel(found: Tensor) -> Tensor:
+        return functional.avg_pool2d(found.to(dtype), FACTOR) if fine else found.to(dtype)
+
     for found, view in zip(seen.split(some), btf.views[:, :, None, None].to(dtype).split(some), strict=True):
-        found.copy_(visible(height, view, tiles=training.tiles))
+        found.copy_(by_texel(visible(height, view, tiles=training.tiles)) > _SEEN)
     for found, light in zip(lit.split(some), btf.lights[:, :, None, None].to(dtype).split(some), strict=True):
-        found.copy_(soft_shadow(height, light, tiles=training.tiles))
+        found.copy_(by_texel(soft_shadow(height, light, tiles=training.tiles)))
     return Sight(seen, lit)
 
 

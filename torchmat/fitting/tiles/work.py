@@ -27,7 +27,7 @@ from torchmat.geometry import Relief
 from torchmat.machine import versions
 from torchmat.models import MATERIALS
 
-_FORMAT = 2
+_FORMAT = 3
 _KEY, _PLAN = "fit.json", "plan.npz"
 _NAMES = re.compile(r"fit\.json|plan\.npz|tile-\d{6}\.npz|\.(fit\.json|plan\.npz|tile-\d{6}\.npz)\.building-.*")
 _HEADER = "header"
@@ -157,7 +157,7 @@ def _pieces_of(plan: TilePlan) -> tuple[dict[str, Any], dict[str, Tensor]]:
     header = {
         "model": plan.model, "options": described(plan.options), "side": plan.side, "size": list(plan.size), "reason": plan.reason,
         "figures": plan.figures, "numbers": numbers, "shared_from": plan.shared_from,
-        "template": {"options": template.options, "storage": template.storage, "tiles": template.tiles},
+        "template": {"options": template.options, "storage": template.storage, "tiles": template.tiles, "relief": template.relief},
     }
     return header, tensors
 
@@ -168,7 +168,7 @@ def _plan_of(header: dict[str, Any], tensors: dict[str, Tensor]) -> TilePlan:
 
     kind = MATERIALS[header["model"]]
     settings = header["template"]
-    template = kind(group("template."), storage=settings["storage"], tiles=settings["tiles"], **settings["options"])
+    template = kind(group("template."), storage=settings["storage"], tiles=settings["tiles"], relief=settings["relief"], **settings["options"])
     relief = group("relief.")
     shared = recipe_of(header["model"]).shared.from_pieces(group("shared."), header["numbers"])
     return TilePlan(

@@ -347,5 +347,5 @@ class _Fit:
                 maps["normal"] = normals_from_slopes(raw["normal"] - self.surface.slopes)
         return Distribution(
             {name: value.detach() for name, value in maps.items()}, lobes=parts.lobes, parts=parts.names,
-            storage=self.options.storage, tiles=self.surface.training.tiles,
+            storage=self.options.storage, tiles=self.surface.training.tiles, relief=self.surface.training.relief,
         )
