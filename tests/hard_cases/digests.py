@@ -64,9 +64,12 @@ def fits() -> dict[str, tuple[str, dict[str, Any]]]:
     found |= {
         f"{model}, {' '.join(map(str, one.values()))}": (model, one) for model, several in variants.items() for one in several
     }
+    printed = "distribution", {**small["distribution"], "denominator": "ashikhmin"}
+    found["distribution, as printed"] = printed
     found = {name: (model, {"geometry": "flat", **options}) for name, (model, options) in found.items()}
     for model in ("lambert", "hsh", "phong_srf", "pca", "distribution"):
         found[f"{model}, on a relief"] = model, {"geometry": _GIVEN, **small.get(model, {})}
+    found["distribution, as printed, on a relief"] = printed[0], {"geometry": _GIVEN, **printed[1]}
     return found | {"lambert, recovered": ("lambert", {"geometry": "recover"})}
 
 
@@ -150,14 +153,16 @@ def differing(found: dict[str, dict[str, Any]], numbers: dict[str, list[float]])
 
 
 def changed(found: dict[str, dict[str, Any]], kept: dict[str, Any] | None = None, key: str | None = None) -> list[str]:
-    """Return what to say of each fit that is not as stored: by its bits on a known platform, else by its numbers."""
+    """Return what to say of each fit that is not as stored: by its bits where the platform has some of it, else by its numbers."""
     kept = stored() if kept is None else kept
     digests = kept["digests"].get(platform_key() if key is None else key)
     if digests is None:
         return differing(found, kept["numbers"])
-    return [
+    # A fit that another platform stored has no bits here yet.
+    said = differing({name: one for name, one in found.items() if name not in digests}, kept["numbers"])
+    return said + [
         f"{name}: other bits; its numbers are {one['numbers']}, stored {kept['numbers'].get(name)}"
-        for name, one in found.items() if digests.get(name) != one["digest"]
+        for name, one in found.items() if name in digests and digests[name] != one["digest"]
     ]
 
 

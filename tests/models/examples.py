@@ -31,7 +31,9 @@ EXAMPLE_OPTIONS: dict[str, list[dict]] = {
     "distribution": [
         {"lobes": 0, "parts": []},
         {"lobes": 1, "parts": ["specular_mask"]},
-        {"lobes": 2, "parts": list(DISTRIBUTION_PARTS), "mask_channels": 3},
+        {"lobes": 2, "parts": [part for part in DISTRIBUTION_PARTS if part != "masking"], "mask_channels": 3},
+        {"lobes": 1, "parts": ["masking"]},
+        {"lobes": 1, "parts": ["normal", "specular_mask", "fresnel", "rotation", "masking"]},
     ],
     "shading_map": [
         {"slices": 4, "brdf": "phong"}, {"slices": 2, "brdf": "table"},
@@ -96,6 +98,8 @@ def _table(name: str, options: dict, spec: MapSpec) -> torch.Tensor:
         return torch.rand(spec.channels, options["clusters"], samples, dtype=torch.float64)
     if (name, spec.name) == ("distribution", "specular"):
         return 0.4 * torch.rand(spec.channels, 6, 6, dtype=torch.float64)
+    if (name, spec.name) == ("distribution", "masking"):
+        return torch.tensor([0.2, 0.6], dtype=torch.float64)
     if (name, spec.name) == ("distribution", "tilt"):
         # Not the default, and off both ends of its range, where differences could not be taken.
         return 0.05 + 0.85 * default_tilt(torch.float64) + 0.05 * torch.rand(1, 1, 91, dtype=torch.float64)

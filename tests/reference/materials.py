@@ -98,9 +98,20 @@ def _tilt_at(tilt, cosine):
     return 1 - (tilt[0, 0, below] * (1 - share) + tilt[0, 0, below + 1] * share)
 
 
+def _smith_root(alpha, direction, tangent, bitangent, cosine):
+    """Return cos (1 + 2 lambda) of a direction, lambda = (sqrt(1 + (alpha tan)^2) - 1) / 2 along its azimuth."""
+    x, y = _dot(direction, tangent), _dot(direction, bitangent)
+    if cosine <= 0:
+        return math.hypot(alpha[0] * x, alpha[1] * y)
+    return cosine * math.sqrt(1 + ((alpha[0] * x) ** 2 + (alpha[1] * y) ** 2) / cosine**2)
+
+
 def _distribution(maps, options, light, view, row, column):
-    """Liao 2011, eq. 3.1 as a value, with 1e-4 in its denominator; a part is there if its map is."""
-    texel = {key: value[:, row, column] for key, value in maps.items() if key not in ("specular", "tilt")}
+    """Liao 2011, eq. 3.1 as a value, with 1e-4 in its denominator; a part is there if its map is.
+
+    With "masking" Smith's lambda of GGX (Heitz 2014, eq. 72) takes the place of D: 2 (n.l)(n.v) / G = 2 n.l n.v (1 + both lambdas).
+    """
+    texel = {key: value[:, row, column] for key, value in maps.items() if key not in ("specular", "tilt", "masking")}
     normal = texel.get("normal", np.array([0.0, 0.0, 1.0]))
     normal = normal / math.sqrt(_dot(normal, normal))
     n_dot_l, n_dot_v = max(0.0, _dot(normal, light)), max(0.0, _dot(normal, view))
@@ -122,7 +133,11 @@ def _distribution(maps, options, light, view, row, column):
     weight = texel["index"] if lobes > 1 else [1.0]
     colour = [sum(w * _on_parabolic_map(maps["specular"][3 * k + c], u, v) for k, w in enumerate(weight)) for c in range(3)]
     a, b = (_tilt_at(maps["tilt"], x) for x in (n_dot_l, n_dot_v)) if "tilt" in maps else (n_dot_l, n_dot_v)
-    share = math.pi * n_dot_l / (a + b - a * b + 1e-4)
+    denominator = a + b - a * b
+    if "masking" in maps:
+        denominator = n_dot_l * _smith_root(maps["masking"], view, tangent, bitangent, n_dot_v)
+        denominator += n_dot_v * _smith_root(maps["masking"], light, tangent, bitangent, n_dot_l)
+    share = math.pi * n_dot_l / (denominator + 1e-4)
     if "fresnel" in texel:
         r0 = texel["fresnel"][0]
         share *= r0 + (1 - r0) * max(0.0, 1 - _dot(light, half)) ** options.get("fresnel_exponent", 5)
