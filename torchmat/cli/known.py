@@ -26,6 +26,9 @@ OPTIONS: dict[str, tuple[str, ...]] = {
         "storage", "objective", "denominator",
     ),
     "neural": ("latent", "hidden", "layers", "effort", "storage", "solver", "objective"),
+    "microfacet": (
+        "anisotropy", "normal", "f90", "coat", "sheen", "rolloff", "layered", "effort", "solver", "storage", "objective",
+    ),
     "auto": (),
 }
 
