@@ -51,6 +51,7 @@ def test_the_choices_of_an_option_are_those_that_it_takes(btf, model):
     ("shading_map", "azimuths", 37), ("distribution", "lobes", 13), ("distribution", "specular_size", 3),
     ("distribution", "specular_size", 1025), ("distribution", "effort", 0.0), ("neural", "latent", 0),
     ("neural", "latent", 1025), ("neural", "hidden", 0), ("neural", "layers", 0), ("neural", "effort", 0.0),
+    ("microfacet", "effort", 0.0),
     ("phong_srf", "ridge", -1.0),
 ])
 def test_the_ends_of_a_range_are_those_that_are_refused(btf, model, option, outside):

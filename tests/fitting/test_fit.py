@@ -9,6 +9,7 @@ import pickle
 import numpy as np
 import pytest
 import torch
+from tests.models.examples import PLAIN
 from tests.support import all_pairs, assert_close, hemisphere, plausible_images
 
 import torchmat as tm
@@ -31,6 +32,7 @@ OPTIONS = {
     "pca": {"components": 4}, "local_pca": {"clusters": 3, "components": 2},
     "distribution": {"geometry": "flat", "lobes": 1, "fresnel": False, "rotation": False, "specular_size": 8, "effort": 0.05},
     "neural": {"geometry": "flat", "latent": 4, "hidden": 8, "effort": 0.01},
+    "microfacet": {"geometry": "flat", "effort": 0.05, **PLAIN},
 }
 LIGHT, VIEW = all_pairs(hemisphere(), hemisphere(((0, 1), (30, 5), (60, 5))))
 
@@ -60,7 +62,7 @@ def test_the_report_has_the_keys_of_the_design(model, btf):
         assert FIGURES <= set(report[part])
         assert all(math.isfinite(report[part][figure]) for figure in FIGURES)
     assert report["model"] == model and report["texels"] == 42 and report["samples"] == len(LIGHT)
-    assert report["stop_reason"] == ("step limit" if model in ("distribution", "neural") else "converged")
+    assert report["stop_reason"] == ("step limit" if model in ("distribution", "neural", "microfacet") else "converged")
     assert set(report["versions"]) >= {"python", "torch", "torchmat"}
     json.dumps(report, allow_nan=False)
     figures = report["held_out"]

@@ -7,6 +7,7 @@ import json
 import numpy as np
 import pytest
 import torch
+from tests.models.examples import PLAIN
 from tests.fitting.reference_scene import relief_scene
 from tests.support import all_pairs, assert_close, hemisphere, plausible_images
 
@@ -33,6 +34,7 @@ SMALL = {
     "pca": {"components": 3}, "local_pca": {"components": 2, "clusters": 2}, "sphere_images": {"size": 12},
     "distribution": {"geometry": "flat", "lobes": 1, "effort": 0.02, "specular_size": 12, "fresnel": False, "rotation": False},
     "neural": {"geometry": "flat", "effort": 0.02},
+    "microfacet": {"geometry": "flat", "effort": 0.02, **PLAIN},
 }
 
 

@@ -16,7 +16,8 @@ from tests.support import all_pairs, assert_close, hemisphere, plausible_images
 import torchmat as tm
 from torchmat import Btf, RangeError, ShapeError
 from torchmat.fitting.evaluate import predict
-from torchmat.fitting.from_material import Descending, kept_names
+from torchmat.fitting.descending import Descending
+from torchmat.fitting.from_material import kept_names
 from torchmat.fitting.refit import refit
 from torchmat.fitting.training import make_training
 from torchmat.models.edit import replace_map

@@ -265,5 +265,5 @@ def test_a_kind_that_is_none_is_refused():
 
 def test_every_model_has_an_objective_and_closed_forms_the_linear_one():
     assert {name: recipe.objective for name, recipe in RECIPES.items() if recipe.objective != "linear"} == {
-        "distribution": "display", "neural": "root",
+        "distribution": "display", "microfacet": "display", "neural": "root",
     }

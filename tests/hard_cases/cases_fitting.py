@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import torch
+from tests.models.examples import PLAIN
 from tests.brdf.directions import HARD_PAIRS, graze
 from tests.hard_cases.cases_shading import FULL, digits_right
 from tests.hard_cases.components import Room, stepping
@@ -67,6 +68,8 @@ def small_options(model: str, samples: int, texels: int, thorough: bool = False)
         return {"geometry": "flat", "lobes": 1, "fresnel": True, "rotation": True, "specular_size": 8, "effort": effort}
     if model == "neural":
         return {"geometry": "flat", "latent": 2, "hidden": 4, "effort": 0.02 if thorough else 0.002}
+    if model == "microfacet":
+        return {"geometry": "flat", "effort": 0.1 if thorough else 0.01, **PLAIN}
     return {}
 
 
@@ -331,7 +334,7 @@ def named_reasons(given: Road, room: Room) -> None:
     model, solver = given
     btf = btf_of(plausible_images(LIGHT, VIEW))
     start = fitted(btf, given, room, seconds=1e-6)
-    iterates = solver in DESCENTS and (model in ("distribution", "neural") or not is_default(given))
+    iterates = solver in DESCENTS and (model in ("distribution", "neural", "microfacet") or not is_default(given))
     assert start.stop_reason == (reasons.BUDGET if iterates else reasons.CONVERGED)
     left = left_over(start.material, btf)
     assert left < {"distribution": 0.22, "neural": 13.0}.get(model, LEFT.get(model, BLACK))

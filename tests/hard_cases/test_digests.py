@@ -11,7 +11,7 @@ def test_15_small_fits_give_what_is_stored():
     found = digests.results()
     assert {digests.fits()[name][0] for name in found} == set(RECIPES)
     # On a relief: closed forms with and without shadow of their own, tables, a lobe and a descent; and one recovered.
-    assert sum(name.endswith(("on a relief", "recovered")) for name in found) == 6
+    assert sum(name.endswith(("on a relief", "recovered")) for name in found) == 8
     said = digests.changed(found)
     known = digests.platform_key() in digests.stored()["digests"]
     step = f"If this is meant, store them: {digests.STORE}."
@@ -28,6 +28,11 @@ def test_digests_are_compared_on_a_known_platform_and_numbers_elsewhere():
     assert digests.changed(other_bits, kept, "elsewhere") == []
     assert "instead of" in digests.changed(far, kept, "elsewhere")[0]
     assert digests.changed({"hsh": same["ptm"]}, kept, "elsewhere") == ["hsh: nothing is stored"]
+    # Stored from another platform: no bits of it here, but its numbers count.
+    more = {"numbers": {**kept["numbers"], "hsh": [0.1, 0.2, 0.3]}, "digests": kept["digests"]}
+    assert digests.changed({**same, "hsh": other_bits["ptm"]}, more, "here") == []
+    assert "instead of" in digests.changed({"hsh": far["ptm"]}, more, "here")[0]
+    assert digests.changed({"lptm": same["ptm"]}, more, "here") == ["lptm: nothing is stored"]
 
 
 def test_storing_keeps_other_platforms_only_while_their_numbers_hold(tmp_path, monkeypatch):

@@ -11,6 +11,7 @@ from torchmat.models import Distribution
 from torchmat.models.distribution import default_tilt
 
 ALL_PARTS = ("normal", "specular_mask", "fresnel", "rotation", "tilt")
+MASKED = (*ALL_PARTS[:-1], "masking")  # Smith's denominator takes the place of D, whose cosines a tilt bends
 LIGHT, VIEW = (per_image(directions(6, torch.float32, seed)) for seed in (1, 2))
 
 
@@ -34,6 +35,7 @@ def distribution(
         "specular_mask": 0.1 + random(mask_channels, height, width), "fresnel": random(1, height, width),
         "rotation": torch.cat((torch.cos(angle), torch.sin(angle))),
         "tilt": 0.9 * default_tilt(torch.float64) + 0.05,
+        "masking": 0.1 + 0.6 * random(2),
     }
     maps = {"diffuse": 0.05 + random(3, height, width)} | {name: every[name] for name in parts}
     if lobes > 0:

@@ -31,15 +31,23 @@ EXAMPLE_OPTIONS: dict[str, list[dict]] = {
     "distribution": [
         {"lobes": 0, "parts": []},
         {"lobes": 1, "parts": ["specular_mask"]},
-        {"lobes": 2, "parts": list(DISTRIBUTION_PARTS), "mask_channels": 3},
+        {"lobes": 2, "parts": [part for part in DISTRIBUTION_PARTS if part != "masking"], "mask_channels": 3},
+        {"lobes": 1, "parts": ["masking"]},
+        {"lobes": 1, "parts": ["normal", "specular_mask", "fresnel", "rotation", "masking"]},
     ],
     "shading_map": [
         {"slices": 4, "brdf": "phong"}, {"slices": 2, "brdf": "table"},
         {"slices": 3, "brdf": "ggx", "overflow": "scale", "azimuths": 4, "ambient_level": 0.05},
     ],
     "sphere_images": [{"angles_deg": [0.0, 45.0, 90.0]}, {"angles_deg": [0.0, 37.25, 75.0, 120.0, 150.0]}],
+    "microfacet": [
+        {"parts": []}, {"parts": ["normal", "anisotropy", "f90"]}, {"parts": ["sheen", "rolloff", "layered"]},
+        {"parts": ["normal", "anisotropy", "f90", "coat", "sheen", "rolloff", "layered"]},
+    ],
     "neural": [{"latent": 3, "hidden": 5, "layers": 1}, {"latent": 2, "hidden": 4, "layers": 3}],
 }
+# A microfacet fit that has no parts to decide, for tests that want any small fit.
+PLAIN = dict.fromkeys(("anisotropy", "f90", "coat", "sheen", "rolloff", "layered"), False)
 LOBES = {
     "phong": (0.4, 0.3, 0.2, 0.3, 0.2, 0.25, math.log(20.0)),
     "ashikhmin_shirley": (0.4, 0.3, 0.2, 0.08, 0.1, 0.05, math.log(40.0), math.log(10.0), 0.4),
@@ -96,6 +104,10 @@ def _table(name: str, options: dict, spec: MapSpec) -> torch.Tensor:
         return torch.rand(spec.channels, options["clusters"], samples, dtype=torch.float64)
     if (name, spec.name) == ("distribution", "specular"):
         return 0.4 * torch.rand(spec.channels, 6, 6, dtype=torch.float64)
+    if name == "microfacet":
+        return torch.tensor({"sheen_roughness": [0.6], "rolloff": [-0.2, 0.3]}[spec.name], dtype=torch.float64)
+    if (name, spec.name) == ("distribution", "masking"):
+        return torch.tensor([0.2, 0.6], dtype=torch.float64)
     if (name, spec.name) == ("distribution", "tilt"):
         # Not the default, and off both ends of its range, where differences could not be taken.
         return 0.05 + 0.85 * default_tilt(torch.float64) + 0.05 * torch.rand(1, 1, 91, dtype=torch.float64)
@@ -141,12 +153,14 @@ def make_maps(name: str, options: dict | None, height: int = 2, width: int = 3, 
         elif spec.name == "normal":
             tilt = torch.rand(2, height, width, dtype=torch.float64) - 0.5
             value = torch.nn.functional.normalize(torch.cat((tilt, torch.ones_like(tilt[:1]))), dim=0)
-        elif (name, spec.name) == ("distribution", "rotation"):
+        elif spec.kind == "rotation":
             angle = 2 * math.pi * torch.rand(1, height, width, dtype=torch.float64)
             value = torch.cat((torch.cos(angle), torch.sin(angle)))
         elif (name, spec.name) == ("distribution", "index"):
             value = torch.rand(shape, dtype=torch.float64)
             value = value / value.sum(dim=0)
+        elif spec.name.endswith("roughness"):
+            value = 0.4 + 0.5 * torch.rand(shape, dtype=torch.float64)  # what is smooth is 0 nearly everywhere
         else:
             # Mostly positive, so that most of what is shaded is not clamped.
             low = -0.1 if spec.low is None else spec.low

@@ -98,9 +98,20 @@ def _tilt_at(tilt, cosine):
     return 1 - (tilt[0, 0, below] * (1 - share) + tilt[0, 0, below + 1] * share)
 
 
+def _smith_root(alpha, direction, tangent, bitangent, cosine):
+    """Return cos (1 + 2 lambda) of a direction, lambda = (sqrt(1 + (alpha tan)^2) - 1) / 2 along its azimuth."""
+    x, y = _dot(direction, tangent), _dot(direction, bitangent)
+    if cosine <= 0:
+        return math.hypot(alpha[0] * x, alpha[1] * y)
+    return cosine * math.sqrt(1 + ((alpha[0] * x) ** 2 + (alpha[1] * y) ** 2) / cosine**2)
+
+
 def _distribution(maps, options, light, view, row, column):
-    """Liao 2011, eq. 3.1 as a value, with 1e-4 in its denominator; a part is there if its map is."""
-    texel = {key: value[:, row, column] for key, value in maps.items() if key not in ("specular", "tilt")}
+    """Liao 2011, eq. 3.1 as a value, with 1e-4 in its denominator; a part is there if its map is.
+
+    With "masking" Smith's lambda of GGX (Heitz 2014, eq. 72) takes the place of D: 2 (n.l)(n.v) / G = 2 n.l n.v (1 + both lambdas).
+    """
+    texel = {key: value[:, row, column] for key, value in maps.items() if key not in ("specular", "tilt", "masking")}
     normal = texel.get("normal", np.array([0.0, 0.0, 1.0]))
     normal = normal / math.sqrt(_dot(normal, normal))
     n_dot_l, n_dot_v = max(0.0, _dot(normal, light)), max(0.0, _dot(normal, view))
@@ -122,7 +133,11 @@ def _distribution(maps, options, light, view, row, column):
     weight = texel["index"] if lobes > 1 else [1.0]
     colour = [sum(w * _on_parabolic_map(maps["specular"][3 * k + c], u, v) for k, w in enumerate(weight)) for c in range(3)]
     a, b = (_tilt_at(maps["tilt"], x) for x in (n_dot_l, n_dot_v)) if "tilt" in maps else (n_dot_l, n_dot_v)
-    share = math.pi * n_dot_l / (a + b - a * b + 1e-4)
+    denominator = a + b - a * b
+    if "masking" in maps:
+        denominator = n_dot_l * _smith_root(maps["masking"], view, tangent, bitangent, n_dot_v)
+        denominator += n_dot_v * _smith_root(maps["masking"], light, tangent, bitangent, n_dot_l)
+    share = math.pi * n_dot_l / (denominator + 1e-4)
     if "fresnel" in texel:
         r0 = texel["fresnel"][0]
         share *= r0 + (1 - r0) * max(0.0, 1 - _dot(light, half)) ** options.get("fresnel_exponent", 5)
@@ -211,10 +226,70 @@ def _neural(maps, options, light, view, row, column):
     return [max(0.0, x) ** 2 for x in known]
 
 
+def _ggx(alpha, light, view, half):
+    """Return D G / (4 (n.l)(n.v)) of vectors in the texel's frame (Walter 2007, Heitz 2014), with 1e-4 of N.L + N.V's kind.
+
+    The package adds 1e-4 to (n.l)(n.v) (1 + both lambdas) 2, and 1e-6 to the squares of alpha.
+    """
+    a, b = (math.sqrt(x * x + 1e-6) for x in alpha)
+    slope = (half[0] / a) ** 2 + (half[1] / b) ** 2 + half[2] ** 2
+    d = 1 / (math.pi * a * b * slope**2)
+    roots = [math.sqrt((a * w[0]) ** 2 + (b * w[1]) ** 2 + w[2] ** 2) for w in (light, view)]
+    return d / (2 * (max(0.0, light[2]) * roots[1] + max(0.0, view[2]) * roots[0] + 1e-4))
+
+
+def _schlick(f0, f90, cosine):
+    return f0 + (f90 - f0) * (1 - cosine) ** 5
+
+
+def _grazing_of(f0):
+    """Return F90 of F0, a number or one a channel: below 2 % less than 1."""
+    return min(1.0, 50 * float(np.mean(f0)))
+
+
+def _microfacet(maps, options, light, view, row, column):
+    """Burley's parametrisation of GGX, a part at a time; a part is there if the options name it."""
+    parts = options.get("parts", [])
+    texel = {key: value[:, row, column] for key, value in maps.items() if key not in ("rolloff", "sheen_roughness")}
+    normal = texel.get("normal", np.array([0.0, 0.0, 1.0]))
+    normal = normal / math.sqrt(_dot(normal, normal))
+    tangent, bitangent = _tilted_with(normal, (1.0, 0.0, 0.0)), _tilted_with(normal, (0.0, 1.0, 0.0))
+    angle = math.atan2(texel["rotation"][1], texel["rotation"][0]) if "anisotropy" in parts else 0.0
+    along = [math.cos(angle) * t + math.sin(angle) * b for t, b in zip(tangent, bitangent, strict=True)]
+    across = [math.cos(angle) * b - math.sin(angle) * t for t, b in zip(tangent, bitangent, strict=True)]
+    half = half_vector(light, view)
+    l, v, h = ([_dot(axis, w) for axis in (along, across, normal)] for w in (light, view, half))
+    n_l, n_v, h_l = max(0.0, l[2]), max(0.0, v[2]), _dot(half, light)
+    alpha = [float(r) ** 2 for r in texel["roughness"]]
+    lobe = math.pi * n_l * _ggx([alpha[0], alpha[-1]], l, v, h)
+    f90 = _grazing_of(texel["specular_f0"]) * (texel["f90"][0] if "f90" in parts else 1.0)
+    diffuse = [c * n_l for c in texel["diffuse"]]
+    if "rolloff" in parts:
+        for cosine in (n_l, n_v):
+            curve = 1 + maps["rolloff"][0] * (1 - cosine) + maps["rolloff"][1] * (1 - cosine) ** 5
+            diffuse = [c * max(0.0, curve) for c in diffuse]
+    found = [0.0] * 3
+    for c in range(3):
+        f0 = texel["specular_f0"][c]
+        cover, most = (texel["coat"][0], _grazing_of(texel["coat"])) if "coat" in parts else (f0, f90)
+        through = (1 - _schlick(cover, most, n_l)) * (1 - _schlick(cover, most, n_v)) if "layered" in parts else 1.0
+        specular = lobe * _schlick(f0, f90, h_l)
+        found[c] = through * (diffuse[c] + specular) if "coat" in parts else through * diffuse[c] + specular
+        if "coat" in parts:
+            coat = float(texel["coat_roughness"][0]) ** 2
+            found[c] += math.pi * n_l * _ggx([coat, coat], l, v, h) * _schlick(texel["coat"][0], _grazing_of(texel["coat"]), h_l)
+        if "sheen" in parts:
+            charlie = float(maps["sheen_roughness"][0]) ** 2
+            d = (2 + 1 / charlie) * math.hypot(h[0], h[1]) ** (1 / charlie) / (2 * math.pi)
+            found[c] += texel["sheen"][c] * math.pi * n_l * d / (4 * (n_l + n_v - n_l * n_v + 1e-4))
+    return found
+
+
 VALUES = {
     "texture": _texture, "lambert": _lambert, "ptm": _ptm, "lptm": _lptm, "hsh": _hsh, "phong_srf": _phong_srf,
     "pca": _pca, "local_pca": _local_pca, "distribution": _distribution,
     "sphere_images": _sphere_images, "shading_map": _shading_map, "neural": _neural,
+    "microfacet": _microfacet,
 }
 
 

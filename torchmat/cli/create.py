@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, ClassVar
+from typing import Annotated, ClassVar, Literal
 
 import tyro
 
@@ -33,6 +33,10 @@ class Create:
     storage: str | None = None
     """How textures are stored: paint8 or paint16 (codes span what a map can be, rotation is a hue), png8, png16, tiff8,
     tiff16, half or float (default: paint8; half of a BRDF or sphere, whose highlights outshine the rest by far)."""
+    model: Literal["distribution", "microfacet"] = "distribution"
+    """Picture and textures only: the model of the material; microfacet has the maps of renderers."""
+    roughness: float = 0.5
+    """Picture as microfacet only: the roughness, 0 to 1."""
     no_pictures: bool = False
     """Write the material only."""
     specular: list[str] = field(default_factory=lambda: ["glossy"])
@@ -127,21 +131,27 @@ class Create:
         )
 
     def _from_textures(self):
-        from torchmat.create import material_from_textures
+        from torchmat.create import material_from_textures, microfacet_from_textures
         from torchmat.create.textures import find_textures
 
         found = find_textures(self.path)
         print("\n".join([f"{kind:16s} {file}" for kind, file in found.rows()] + found.notes()))
         with phase("making the maps"):
+            tiles = "auto" if self.tiles is None else self.tiles
+            if self.model == "microfacet":
+                return microfacet_from_textures(
+                    self.path, height_scale=self.height_scale, occlusion=self.occlusion, storage=self.storage or "paint8",
+                    say=print, tiles=tiles,
+                )
             return material_from_textures(
                 self.path, lobes=self.lobes, height_scale=self.height_scale, occlusion=self.occlusion,
-                storage=self.storage or "paint8", say=print, tiles="auto" if self.tiles is None else self.tiles,
+                storage=self.storage or "paint8", say=print, tiles=tiles,
             )
 
     def _from_picture(self):
         from torchmat.btf.decode import ENCODINGS
         from torchmat.btf.photographs import read_linear
-        from torchmat.create import material_from_picture
+        from torchmat.create import material_from_picture, microfacet_from_picture
         from torchmat.errors import check_option
         from torchmat.geometry.tiling import tiling_of
 
@@ -155,6 +165,10 @@ class Create:
             print(f"tiles      {found.sentence()}")
             tiles = found.repeats
         with phase("making the maps"):
+            if self.model == "microfacet":
+                return microfacet_from_picture(
+                    picture, roughness=self.roughness, darken=self.darken, tiles=tiles, storage=self.storage or "paint8", **scale,
+                )
             return material_from_picture(
                 picture, lobes=len(self.specular), specular=self.specular,
                 mask_brightness=self.mask[0], mask_contrast=self.mask[1], fresnel_brightness=self.fresnel[0],

@@ -25,9 +25,12 @@ OPTIONS: dict[str, tuple[str, ...]] = {
     "shading_map": ("slices", "brdf", "overflow", "azimuths", "joint", "storage", "solver", "objective"),
     "distribution": (
         "lobes", "fresnel", "rotation", "tilt", "normal", "specular_mask", "specular_size", "effort", "solver",
-        "storage", "objective",
+        "storage", "objective", "denominator",
     ),
     "neural": ("latent", "hidden", "layers", "effort", "storage", "solver", "objective"),
+    "microfacet": (
+        "anisotropy", "normal", "f90", "coat", "sheen", "rolloff", "layered", "effort", "solver", "storage", "objective",
+    ),
     "auto": (),
 }
 

@@ -131,8 +131,10 @@ def tilt(material: Material, curve: str | Tensor | Sequence[Sequence[float]]) ->
     """Return the material with another tilt curve.
 
     `curve` is a name (`specular_maps.TILTS`), points (degrees, tilt) or a text of them, or the curve itself, [1, 1, 91].
+    It takes the place of Smith's masking, if the material has that.
     """
     material = _artists("tilt", material)
+    material = drop_part(material, "masking") if "masking" in material.maps else material
     if isinstance(curve, str):
         curve = tilt_curve(curve)
     elif not isinstance(curve, Tensor):

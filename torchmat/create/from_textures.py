@@ -52,17 +52,14 @@ def material_from_textures(
         if not isinstance(number, int) or isinstance(number, bool) or number < 1:
             raise RangeError(message(_WHERE, name, "be a whole number from 1", f"it is {number!r}"))
     say = say or (lambda line: None)
-    textures = _filled(read_textures(find_textures(folder)))
-    tiles, told = _repeats(textures["color"], tiles)
+    textures = filled(read_textures(find_textures(folder)))
+    tiles, told = repeats(_WHERE, textures["color"], tiles)
     colour, metal = textures["color"], textures.get("metalness")
     maps = {"diffuse": colour if metal is None else colour * (1 - metal)}
     if occlusion:
-        if "ambientocclusion" not in textures:
-            step = "Add one whose name ends in _AmbientOcclusion, or leave the occlusion out."
-            raise DataError(message(str(folder), "the folder", "hold an occlusion texture", "it holds none", step))
-        maps["diffuse"] = maps["diffuse"] * textures["ambientocclusion"]
+        maps["diffuse"] = with_occlusion(folder, maps["diffuse"], textures)
     with phase("bringing height and normals together"):
-        shape, stored = _shape(folder, textures, height_scale, tiles, say)
+        shape, stored = shape_of(folder, textures, height_scale, tiles, say)
     for line in told:
         say(line)
     maps |= shape
@@ -84,16 +81,24 @@ def material_from_textures(
     return assemble(maps, len(levels), tiles, storage, stored)
 
 
-def _repeats(colour: Tensor, tiles: bool | str) -> tuple[bool, list[str]]:
+def repeats(where: str, colour: Tensor, tiles: bool | str) -> tuple[bool, list[str]]:
     """Return whether the textures repeat, and a line on it where nobody says so."""
-    check_tiles(_WHERE, tiles)
+    check_tiles(where, tiles)
     if tiles != AUTO_TILES:
         return bool(tiles), []
     found = tiling_of(colour[None])
     return found.repeats, [f"tiles: {found.sentence()}"]
 
 
-def _filled(textures: dict[str, Tensor]) -> dict[str, Tensor]:
+def with_occlusion(folder: str | Path, diffuse: Tensor, textures: dict[str, Tensor]) -> Tensor:
+    """Return a diffuse map times the occlusion texture; raises DataError where there is none."""
+    if "ambientocclusion" not in textures:
+        step = "Add one whose name ends in _AmbientOcclusion, or leave the occlusion out."
+        raise DataError(message(str(folder), "the folder", "hold an occlusion texture", "it holds none", step))
+    return diffuse * textures["ambientocclusion"]
+
+
+def filled(textures: dict[str, Tensor]) -> dict[str, Tensor]:
     """Return the textures with the mean of what is there in place of what is wholly cut out; vendors leave it black."""
     opacity = textures.get("opacity")
     if opacity is None or not bool((opacity > 0).any()):
@@ -105,7 +110,7 @@ def _filled(textures: dict[str, Tensor]) -> dict[str, Tensor]:
     }
 
 
-def _shape(
+def shape_of(
     folder: str | Path, textures: dict[str, Tensor], height_scale: float | None, tiles: bool, say: Callable[[str], None]
 ) -> tuple[dict[str, Tensor], dict[str, StoredAs]]:
     """Return the height, and the normal map: alone, or what is left of it beside the height; and how they are stored."""

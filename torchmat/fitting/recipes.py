@@ -10,6 +10,7 @@ from typing import Any
 from torchmat.errors import RangeError, check_known_keys, check_option, message
 from torchmat.fitting.models.distribution.recipe import DISTRIBUTION
 from torchmat.fitting.models.linear import HSH, LAMBERT, LPTM, PTM, TEXTURE
+from torchmat.fitting.models.microfacet.recipe import MICROFACET
 from torchmat.fitting.models.neural import NEURAL
 from torchmat.fitting.models.pca import LOCAL_PCA, PCA
 from torchmat.fitting.models.phong_srf import PHONG_SRF
@@ -19,7 +20,7 @@ from torchmat.fitting.recipe import AUTO, RECIPES, recipe_of, register
 from torchmat.solvers import as_solver
 
 for _recipe in (
-    TEXTURE, LAMBERT, LPTM, PTM, HSH, PHONG_SRF, PCA, LOCAL_PCA, SPHERE_IMAGES, SHADING_MAP, DISTRIBUTION, NEURAL,
+    TEXTURE, LAMBERT, LPTM, PTM, HSH, PHONG_SRF, PCA, LOCAL_PCA, SPHERE_IMAGES, SHADING_MAP, DISTRIBUTION, NEURAL, MICROFACET,
 ):
     register(_recipe)
 

@@ -16,7 +16,8 @@ import torch
 from torchmat.btf import Btf, Split, split_samples
 from torchmat.errors import check_positive
 from torchmat.fitting.evaluate import evaluate
-from torchmat.fitting.from_material import Descending, check_free, kept_names, onward_of
+from torchmat.fitting.descending import Descending
+from torchmat.fitting.from_material import check_free, kept_names, onward_of
 from torchmat.fitting.objective import Residual, described
 from torchmat.fitting.training import Fitted, make_training
 from torchmat.models import Material

@@ -47,6 +47,7 @@ CONVENTIONS = {
     "rotation": "turns counter-clockwise from +x as a hue; filter its cosine and sine, never the angle",
     "specular_maps": "parabolic, layer k in rows k * side to (k + 1) * side, in the order of a texture array",
     "tilt": "1 - d at 0..90 degrees, filtered linearly",
+    "masking": "among the constants: a_u, a_v of Smith's denominator in the texel's turned frame; without it D is Ashikhmin's",
 }
 
 
@@ -141,6 +142,8 @@ def unpack(folder: str | Path) -> Distribution:
 def _settings(material: Material) -> dict[str, Any]:
     found = {"model": material.name, "options": material.options, "tiles": material.tiles, "storage": material.storage}
     found |= {} if material.relief == FAST else {"relief": material.relief}
+    constants = {spec.name: material.maps[spec.name].detach().float().tolist() for spec in material.specs() if spec.constant}
+    found |= {"constants": constants} if constants else {}
     return found if material.cutout is None else found | {"cutout": material.cutout.as_table()}
 
 
@@ -255,6 +258,7 @@ def _by_map(textures: Any) -> dict[str, Tensor]:
 def _assembled(planes: dict[str, Tensor], settings: dict[str, Any]) -> Distribution:
     """Return the material of unpacked planes: strip, turns and whole normals become the maps of the model again."""
     maps, options = dict(planes), dict(settings["options"])
+    maps |= {name: torch.tensor(values, dtype=torch.float32) for name, values in settings.get("constants", {}).items()}
     if "specular" in maps:
         maps["specular"] = torch.cat(maps["specular"].split(maps["specular"].shape[-1], dim=1))
     if "rotation" in maps:

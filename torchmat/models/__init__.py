@@ -7,6 +7,7 @@ from torchmat.models.compilation import can_compile, compiled
 from torchmat.models.distribution import Distribution
 from torchmat.models.edit import add_part, drop_part, replace_map
 from torchmat.models.linear import Hsh, Lambert, Lptm, Ptm, Texture
+from torchmat.models.microfacet import Microfacet
 from torchmat.models.neural import Neural
 from torchmat.models.pca import LocalPca, Pca
 from torchmat.models.phong_srf import PhongSrf
@@ -15,7 +16,9 @@ from torchmat.models.sphere_images import SphereImages
 
 MATERIALS: dict[str, type[Material]] = {
     model.name: model
-    for model in (Texture, Lambert, Ptm, Lptm, Hsh, PhongSrf, Pca, LocalPca, Distribution, ShadingMap, SphereImages, Neural)
+    for model in (
+        Texture, Lambert, Ptm, Lptm, Hsh, PhongSrf, Pca, LocalPca, Distribution, ShadingMap, SphereImages, Neural, Microfacet,
+    )
 }
 
 
@@ -28,7 +31,7 @@ def register_material(kind: type[Material]) -> None:
 
 
 __all__ = [
-    "MATERIALS", "Distribution", "Hsh", "Lambert", "LocalPca", "Lptm", "Material", "Neural", "Pca", "PhongSrf", "Ptm",
+    "MATERIALS", "Distribution", "Hsh", "Lambert", "LocalPca", "Lptm", "Material", "Microfacet", "Neural", "Pca", "PhongSrf", "Ptm",
     "ShadingMap", "SphereImages", "Texture", "add_part", "blend", "can_compile", "compiled", "drop_part", "register_material",
     "replace_map",
 ]

@@ -151,8 +151,12 @@ def _blend_distributions(
         if name == "specular_mask":
             maps[name] = mix(masks[0], masks[1], weight)
             continue
+        if name == "masking" and not all(name in side.maps for side in (first, second)):
+            step = "Fit both with one denominator."
+            fact = "one has Smith's masking, the other D"
+            raise RangeError(message("blend", "the materials", "have one denominator", fact, step))
         one, other = (_part(side, name) for side in (first, second))
-        if name == "tilt" and not torch.equal(one, other):
+        if name in ("tilt", "masking") and not torch.equal(one, other):
             _check_number(weight, name)
         maps[name] = _mix_vectors(name, one, other, weight) if name in ("normal", "rotation") else mix(one, other, weight)
     lobes = _lobes(first, second, weight, masks, maps)

@@ -1,8 +1,9 @@
 """Diffuse + half-vector distributions: every map is a texture that an artist can paint (Liao 2011, over the g-BRDF).
 
-``value = (C_d + pi * mask * C_s(H) * F(L.H) / D) * (N.L)`` with ``D = L.N + V.N - (L.N)(V.N)`` (Ashikhmin's). `C_s` is
-a parabolic map of the half vector in the frame of the texel's normal. On a relief (`height`) parallax, shadow and
-ambient light come on top, and normals are the height's.
+``value = (C_d + pi * mask * C_s(H) * F(L.H) / D) * (N.L)`` with ``D = L.N + V.N - (L.N)(V.N)`` as the thesis prints it
+(Ashikhmin's), or with Smith's masking in its place, past the thesis: what fits use. `C_s` is a parabolic map of the half
+vector in the frame of the texel's normal. On a relief (`height`) parallax, shadow and ambient light come on top, and
+normals are the height's.
 """
 
 from __future__ import annotations
@@ -19,9 +20,11 @@ from torchmat import frames, safe
 from torchmat.errors import RangeError, ShapeError, check_option, check_positive, message
 from torchmat.geometry import normals_from_slopes, slopes_from_height, slopes_from_normals
 from torchmat.models.base import Material, combine
+from torchmat.models.ggx import smith_denominator
 from torchmat.models.storage import MapSpec
 
-DISTRIBUTION_PARTS = ("normal", "specular_mask", "fresnel", "rotation", "tilt")
+DISTRIBUTION_PARTS = ("normal", "specular_mask", "fresnel", "rotation", "tilt", "masking")
+_DENOMINATORS = ("tilt", "masking")  # parts that take the place of D as printed
 TILT_SAMPLES = 91  # one a degree, 0 to 90
 _MOST_LOBES = 12
 # D and N.L reach 0 together, where their ratio depends on the way taken; with this much added the value goes to 0
@@ -50,6 +53,10 @@ def distribution_specs(lobes: int, parts: Sequence[str], mask_channels: int = 1)
         "tilt": MapSpec(
             "tilt", "1 - d for 0..90 degrees", layer_channels=1, low=0.0, high=1.0, per_texel=False, fixed=True,
         ),
+        "masking": MapSpec(
+            "masking", "roughness a_u, a_v of Smith's masking along and across the turned tangent", layer_channels=2,
+            low=0.0, constant=True,
+        ),
     }
     specs = [MapSpec("diffuse", "diffuse colour", low=0.0, colour=True, linear=True)]
     specs += [every[part] for part in parts]
@@ -70,8 +77,10 @@ class Distribution(Material):
     `parts` names the optional maps, of which an absent one costs nothing: `normal` [3, H, W] (on a relief it refines
     the height's: slopes add up), `specular_mask` [1 or 3, H, W] (`mask_channels`), `fresnel` [1, H, W] (r0), `rotation`
     [2, H, W] (cosine and sine of the angle by which the lookup turns about the map's centre: filtered as a vector),
-    `tilt` [1, 1, 91] (``1 - d`` for 0..90 degrees, d taking the place of the cosines in D). Always there: `diffuse`
-    [3, H, W], and with `lobes` > 0 `specular` [3 lobes, S, S], row 0 at the top, h_y up; with `lobes` > 1 `index`
+    `tilt` [1, 1, 91] (``1 - d`` for 0..90 degrees, d taking the place of the cosines in D) or, instead of it, `masking` [2]:
+    a_u, a_v of Smith's height-correlated masking for GGX (Heitz 2014), whose denominator ``N.L sqrt((a_u v_x)^2 + (a_v v_y)^2
+    + v_z^2) + N.V sqrt((a_u l_x)^2 + (a_v l_y)^2 + l_z^2)`` in the texel's turned frame stands for D. With neither, D is as
+    printed, which cannot grow towards grazing as rough metal does. Always there: `diffuse` [3, H, W], and with `lobes` > 0 `specular` [3 lobes, S, S], row 0 at the top, h_y up; with `lobes` > 1 `index`
     [lobes, H, W], the weight of each. `fresnel_exponent` is Schlick's 5; 1 is the thesis's printed formula.
     """
 
@@ -87,6 +96,9 @@ class Distribution(Material):
         check_option(self.name, "mask_channels", mask_channels, (1, 3))
         for part in parts:
             check_option(self.name, "parts", part, DISTRIBUTION_PARTS)
+        if all(part in parts for part in _DENOMINATORS):
+            step = "Each takes the place of D: leave one out."
+            raise RangeError(message(self.name, "parts", "hold tilt or masking", "they hold both", step))
         chosen = [part for part in DISTRIBUTION_PARTS if part in parts]
         self._kept_frame: tuple[list[Tensor], list[tuple], tuple[Tensor, Tensor | None]] | None = None
         options: dict[str, Any] = {"lobes": lobes, "parts": chosen, "mask_channels": mask_channels, "fresnel_exponent": fresnel_exponent}
@@ -127,20 +139,27 @@ class Distribution(Material):
 
     def value(self, light: Tensor, view: Tensor) -> Tensor:
         frame, normal = self._frame()
+        if "masking" in self.maps and self._lobes:
+            return self._masked(*(d if frame is None else combine(d, frame) for d in (light, view)))
         n_dot_l, n_dot_v = (_dot(direction, normal).clamp(min=0) for direction in (light, view))
         if self._lobes == 0:
             return self.maps["diffuse"] * n_dot_l
-        return torch.addcmul(self._specular(light, view, frame, n_dot_l, n_dot_v), self.maps["diffuse"], n_dot_l)
-
-    def _specular(self, light: Tensor, view: Tensor, frame: Tensor | None, n_dot_l: Tensor, n_dot_v: Tensor) -> Tensor:
-        maps = self.maps
-        # 2 + 2 L.V would cancel where they are nearly opposite; the bound keeps those of no half vector finite.
-        total = light + view
-        squared = (total * total).sum(dim=-3, keepdim=True).clamp(min=1e-24)
-        half = total * torch.rsqrt(squared)
+        half, squared = _half(light, view)
         colour = self._looked_up(half if frame is None else combine(half, frame))
-        a, b = (n_dot_l, n_dot_v) if "tilt" not in maps else (self._tilted(n_dot_l), self._tilted(n_dot_v))
+        a, b = (n_dot_l, n_dot_v) if "tilt" not in self.maps else (self._tilted(n_dot_l), self._tilted(n_dot_v))
         share = n_dot_l / torch.addcmul(a + (b + _GRAZING), a, b, value=-1)
+        return torch.addcmul(self._specular(colour, share, squared), self.maps["diffuse"], n_dot_l)
+
+    def _masked(self, light: Tensor, view: Tensor) -> Tensor:
+        """Return the value for directions in the texels' turned frames, by Smith's denominator."""
+        half, squared = _half(light, view)
+        n_dot_l, denominator = smith_denominator(light, view, self.maps["masking"].square()[:, None, None])
+        share = n_dot_l / (denominator + _GRAZING)
+        return torch.addcmul(self._specular(self._looked_up(half), share, squared), self.maps["diffuse"], n_dot_l)
+
+    def _specular(self, colour: Tensor, share: Tensor, squared: Tensor) -> Tensor:
+        """Return the specular part of what the half vector's `colour` gives: `share` is N.L / D, `squared` |L + V|^2."""
+        maps = self.maps
         if "fresnel" in maps:
             grazing = (1 - torch.sqrt(squared) / 2).clamp(min=0)  # both have length 1: H.L is half of |L + V|
             share = share * (maps["fresnel"] + (1 - maps["fresnel"]) * self._rise(grazing))
@@ -214,6 +233,14 @@ class Distribution(Material):
         below = place.detach().floor().clamp(max=TILT_SAMPLES - 2).long()
         tilt = self.maps["tilt"].flatten()
         return 1 - torch.lerp(tilt[below], tilt[below + 1], place - below)
+
+
+def _half(light: Tensor, view: Tensor) -> tuple[Tensor, Tensor]:
+    """Return the half vector, and the squared length [..., 1, h, w] of the sum that it comes from."""
+    # 2 + 2 L.V would cancel where they are nearly opposite; the bound keeps those of no half vector finite.
+    total = light + view
+    squared = (total * total).sum(dim=-3, keepdim=True).clamp(min=1e-24)
+    return total * torch.rsqrt(squared), squared
 
 
 def _dot(direction: Tensor, normal: Tensor | None) -> Tensor:

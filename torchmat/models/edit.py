@@ -126,9 +126,13 @@ def _as_weights(value: Tensor) -> Tensor:
 def neutral_part(material: Distribution, name: str, channels: int = 1) -> Tensor:
     """Return the map of a part that changes nothing: what the material shades as without it.
 
-    Exactly so but for `tilt`, whose 91 samples are filtered linearly: its cosines are within 4e-5 of the true ones.
+    Exactly so but for `tilt`, whose 91 samples are filtered linearly: its cosines are within 4e-5 of the true ones. Smith's
+    `masking` takes the place of D and has no such value: raises RangeError.
     """
     check_option("neutral_part", "name", name, DISTRIBUTION_PARTS)
+    if name == "masking":
+        step = "Give its two numbers, as add_part(material, 'masking', value)."
+        raise RangeError(message("neutral_part", "name", "be a part that can change nothing", "masking replaces D", step))
     if name == "tilt":
         return default_tilt(material.dtype)
     values = {"normal": (0.0, 0.0, 1.0), "rotation": (1.0, 0.0), "fresnel": (1.0,), "specular_mask": (1.0,) * channels}
@@ -149,13 +153,17 @@ def add_part(material: Distribution, name: str, value: Tensor | None = None, fil
     channels = material.options["mask_channels"]
     if name == "specular_mask" and isinstance(value, Tensor) and value.ndim == 3 and value.shape[0] in (1, 3):
         channels = value.shape[0]
-    maps = {**material.maps, name: neutral_part(material, name, channels)}
+    given = name == "masking" and value is not None  # no value of it changes nothing
+    maps = {**material.maps, name: torch.ones(2, dtype=material.dtype) if given else neutral_part(material, name, channels)}
     changed = with_options(material, maps, parts=[*material.options["parts"], name], mask_channels=channels)
     return changed if value is None else replace_map(changed, name, value, filter)
 
 
 def drop_part(material: Distribution, name: str) -> Distribution:
-    """Return a distribution material without one of its parts, which costs nothing then and changes nothing."""
+    """Return a distribution material without one of its parts, which costs nothing then and changes nothing.
+
+    Without `masking` or `tilt` its denominator is D as printed.
+    """
     _check_part("drop_part", material, name)
     parts = material.options["parts"]
     if name not in parts:

@@ -166,7 +166,7 @@ def checked_angles(where: str, angles_deg: Sequence[float]) -> list[float]:
 def check_isotropic(where: str, brdf: Any) -> None:
     """Raise RangeError unless `brdf` is isotropic: no pictures of one sphere hold another."""
     if not brdf.isotropic:
-        step = "Fit a model that holds anisotropy to the file: torchmat fit distribution --data FILE."
+        step = "Fit a model that holds anisotropy to the file: torchmat fit microfacet --data FILE."
         raise RangeError(message(where, "the BRDF", "be isotropic", f"{brdf.name} is not", step))
 
 

@@ -22,6 +22,7 @@ from torchmat.models.unbounded import Unbounded
 from torchmat.repeatable import one_thread
 from torchmat.solvers import Descent, Problem, Stepping
 
+Prior = Callable[[dict[str, Tensor]], Tensor]
 _FEW = 24  # samples that the start is fitted to
 _BATCH_VALUES, _FEWEST_IMAGES = 49152, 4  # texels x images of a batch, as many as stay in the processor's cache
 
@@ -59,10 +60,13 @@ def descend(training: Training, begun: Fitted, solver: Stepping, objective: str 
 
 def run_descent(
     solver: Stepping, training: Training, unknowns: Unbounded, seen: Seen, objective: str | Residual,
-    made: Callable[[], Material],
+    made: Callable[[], Material], prior: Prior | None = None,
 ) -> Descent:
-    """Change the unknowns by a solver to what the samples of `seen` want; `made` gives the material as it stands."""
-    misfit = Misfit(seen, unknowns, objective)
+    """Change the unknowns by a solver to what the samples of `seen` want; `made` gives the material as it stands.
+
+    A `prior` is what maps cost by themselves, in relative errors: what samples leave open goes where it is least.
+    """
+    misfit = Misfit(seen, unknowns, objective, prior)
 
     def draw(generator: torch.Generator) -> Tensor:
         return seen.samples[torch.randperm(len(seen.samples), generator=generator)]
@@ -120,8 +124,10 @@ class Seen:
 class Misfit:
     """The objective over samples, as a number and its gradient in the unknowns."""
 
-    def __init__(self, seen: Seen, unknowns: Unbounded, objective: str | Residual = LINEAR) -> None:
-        self.seen, self.unknowns = seen, unknowns
+    def __init__(
+        self, seen: Seen, unknowns: Unbounded, objective: str | Residual = LINEAR, prior: Prior | None = None
+    ) -> None:
+        self.seen, self.unknowns, self.prior = seen, unknowns, prior
         # The linear error has no need of the data's level, which costs a pass over it.
         self.objective = Objective(objective, 1.0 if objective == LINEAR else mean_value(seen.training))
         self.size = self._size_of_black()
@@ -143,6 +149,10 @@ class Misfit:
             # The parameters' own part is differentiated once, not once for each run of samples.
             leaves = {name: value.detach().requires_grad_() for name, value in maps.items()}
             total = sum(self._add(leaves, *part, share / self.size) for part in parts)
+            if self.prior is not None and math.isfinite(total):
+                cost = self.prior(leaves)
+                total += float(cost.detach())
+                cost.backward()
             gradients = [leaf.grad if leaf.grad is not None else torch.zeros_like(leaf) for leaf in leaves.values()]
             torch.autograd.backward(list(maps.values()), gradients)
         return total

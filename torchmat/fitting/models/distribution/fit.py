@@ -50,7 +50,7 @@ def fit_distribution(
     training: Training, *, lobes: int | Literal["auto"] = "auto", fresnel: bool | Literal["auto"] = "auto",
     rotation: bool | Literal["auto"] = "auto", tilt: bool | Literal["auto"] = False, normal: bool = True,
     specular_mask: bool = True, specular_size: int = 48, effort: float = 1.0, solver: Stepping = Minibatch(),
-    storage: str = "png8", objective: str | Residual = DISPLAY,
+    storage: str = "png8", objective: str | Residual = DISPLAY, denominator: Literal["smith", "ashikhmin", "tilt"] = "smith",
 ) -> Fitted:
     """Fit the distribution material to a flat surface.
 
@@ -60,16 +60,19 @@ def fit_distribution(
         lobes: specular maps, 0 to 12; "auto" lets the data choose 1 to 3, 0 leaves them out with all that belongs to them.
         fresnel: true, false or "auto": a map of the reflectance at normal incidence.
         rotation: true, false or "auto": a map that turns each texel's highlight, for brushed and woven surfaces.
-        tilt: true, false or "auto": one curve for the whole material that changes how it darkens toward grazing.
+        tilt: true, false or "auto": one curve for the whole material that changes how it darkens toward grazing, in place of
+            what the denominator says of that; true is the same as denominator="tilt".
         normal: true for a normal map, which on a relief refines the height's normals.
         specular_mask: true for a map of how strong each texel's highlight is.
         specular_size: texels on a side of the specular maps, 4 to 1024.
         effort: factor on the number of steps, above 0: larger is slower and slightly better.
         solver: "minibatch" is Adam on random images, "adam" and "lbfgs" take all at once; a solver's own `steps`, those of the
             fit in all, count instead of `effort`.
+        denominator: how highlights grow toward grazing: "smith" by masking with two roughnesses for the whole material, in
+            each texel's turned frame (Heitz 2014); "ashikhmin" by D as the thesis prints it; "tilt" by D with a curve.
     """
     given = DistributionOptions(
-        lobes, fresnel, rotation, tilt, normal, specular_mask, specular_size, effort, solver, storage, objective,
+        lobes, fresnel, rotation, tilt, normal, specular_mask, specular_size, effort, solver, storage, objective, denominator,
     )
     flat = torch.zeros(1, training.btf.height, training.btf.width, dtype=training.dtype)
     return _Fit(bring_onto(training, flat), None, given).run()
@@ -204,7 +207,10 @@ class _Fit:
         if known is not None:
             return known
         groups = None if parts.lobes < 2 else group_texels(inside_of(starts["features"], training.btf.mask), parts.lobes, training.seed)
-        return DistributionShared(level=self.level, log_specular=raw.get("specular"), logit_tilt=raw.get("tilt"), groups=groups)
+        return DistributionShared(
+            level=self.level, log_specular=raw.get("specular"), logit_tilt=raw.get("tilt"), log_masking=raw.get("masking"),
+            groups=groups,
+        )
 
     def _choose(self, starts: dict[str, Tensor]) -> tuple[Parts, list[dict[str, Any]]]:
         """Climb from one lobe alone: keep what pays in pilot runs."""
@@ -212,7 +218,8 @@ class _Fit:
         optional = ("fresnel", "rotation", "tilt")
         lobes = 1 if given.lobes == "auto" else given.lobes
         asked = {name: getattr(given, name) is True for name in optional}
-        parts = Parts(lobes, **asked, normal=given.normal, specular_mask=given.specular_mask)
+        asked["tilt"] |= given.denominator == "tilt"
+        parts = Parts(lobes, **asked, normal=given.normal, specular_mask=given.specular_mask, masking=given.denominator == "smith")
         if lobes == 0:
             return parts, []
         trials: list[Callable[..., Parts]] = [lambda p, n=name: replace(p, **{n: True}) for name in optional if getattr(given, name) == "auto"]

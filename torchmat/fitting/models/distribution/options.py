@@ -11,6 +11,7 @@ from torchmat.models.storage import STORAGES
 from torchmat.solvers import Minibatch, Stepping
 
 MOST_LOBES = 12
+DENOMINATORS = ("smith", "ashikhmin", "tilt")
 _WHERE = "fit distribution"
 
 
@@ -29,13 +30,16 @@ class DistributionOptions:
     solver: Stepping = Minibatch()
     storage: str = "png8"
     objective: str | Residual = DISPLAY
+    denominator: Literal["smith", "ashikhmin", "tilt"] = "smith"
 
     def __post_init__(self) -> None:
         check_objective(_WHERE, self.objective)
         check_option(_WHERE, "storage", self.storage, STORAGES)
+        check_option(_WHERE, "denominator", self.denominator, DENOMINATORS)
         if self.lobes != "auto" and not 0 <= self.lobes <= MOST_LOBES:
             raise RangeError(message(_WHERE, "lobes", f"lie in 0 to {MOST_LOBES}, or be 'auto'", f"it is {self.lobes!r}"))
         asked = [name for name in ("fresnel", "rotation", "tilt") if getattr(self, name) is True]
+        asked += ["denominator"] if self.denominator == "tilt" else []
         if self.lobes == 0 and asked:
             step = f"Leave {asked[0]} out, or give lobes."
             raise RangeError(message(_WHERE, asked[0], "be left out without lobes", "lobes is 0", step))

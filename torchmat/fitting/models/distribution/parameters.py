@@ -23,6 +23,7 @@ from torchmat.models.unbounded import map_of, relative_rate
 from torchmat.repeatable import one_thread
 
 BLOCK_VALUES = 2_000_000
+_SHARPEST = 0.1  # roughness to begin with: moments of samples degrees apart do not tell what is sharper
 _LEVEL = 1e-3  # of the tilt at 0 and 90 degrees, which a logit does not reach
 
 
@@ -36,12 +37,14 @@ class Parts:
     tilt: bool = False
     normal: bool = True
     specular_mask: bool = True
+    masking: bool = True
 
     @property
     def names(self) -> list[str]:
-        """The optional parts of the model, the normal among them."""
-        of_lobes = ("specular_mask", "fresnel", "rotation", "tilt")
+        """The optional parts of the model, the normal among them; a tilt takes the place of masking."""
+        of_lobes = ("specular_mask", "fresnel", "rotation", "tilt", "masking")
         there = [name for name in of_lobes if self.lobes and getattr(self, name)]
+        there = [name for name in there if name != "masking" or not self.tilt]
         return ["normal", *there] if self.normal else there
 
 
@@ -49,19 +52,20 @@ class Parts:
 class DistributionShared(Shared):
     """What all texels of a distribution material have in common, as its fit turns it.
 
-    `level` is the mean value of the data, `groups` what groups its texels (`group_texels`), `log_specular` and
-    `logit_tilt` the parameters of the tables; None is a part that is not there.
+    `level` is the mean value of the data, `groups` what groups its texels (`group_texels`), `log_specular`, `logit_tilt` and
+    `log_masking` the parameters of the tables; None is a part that is not there.
     """
 
     level: float = 1.0
     log_specular: Tensor | None = None
     logit_tilt: Tensor | None = None
+    log_masking: Tensor | None = None
     groups: Tensor | None = None
 
     @property
     def parameters(self) -> dict[str, Tensor]:
         """The parameters of the tables by the names of their maps."""
-        found = {"specular": self.log_specular, "tilt": self.logit_tilt}
+        found = {"specular": self.log_specular, "tilt": self.logit_tilt, "masking": self.log_masking}
         return {name: value for name, value in found.items() if value is not None}
 
     @property
@@ -95,6 +99,7 @@ def raw_maps(starts: dict[str, Tensor], parts: Parts, size: int, training: Train
         "fresnel": torch.full_like(mean[:1], -2.0),
         "rotation": starts["rotation"].clone(),
         "tilt": torch.logit(default_tilt(dtype).clamp(_LEVEL, 1 - _LEVEL)),
+        "masking": _start_masking(starts["width"], parts.rotation),
     }
     there = {"diffuse", "ambient", *parts.names} | ({"specular"} if parts.lobes else set())
     raw = {name: value for name, value in raw.items() if name in there}
@@ -105,6 +110,11 @@ def raw_maps(starts: dict[str, Tensor], parts: Parts, size: int, training: Train
             groups = group_texels(inside_of(starts["features"], training.btf.mask), parts.lobes, training.seed)
         raw["index"] = _start_index(starts["features"], parts.lobes, groups)
     return raw
+
+
+def _start_masking(width: Tensor, turned: bool) -> Tensor:
+    """Return the logarithms of Smith's a_u, a_v: those of the highlights as they are, one for both where none is turned."""
+    return (width if turned else width.square().mean().sqrt().expand(2)).log().clone()
 
 
 def inside_of(maps: Tensor, mask: Tensor | None) -> Tensor:
@@ -167,15 +177,16 @@ def rates_of(raw: dict[str, Tensor]) -> list[float]:
 
 
 def anisotropy(surface: Surface, mean: Tensor, slopes: Tensor) -> dict[str, Tensor]:
-    """Return the direction `rotation` [1, H, W] in which each texel's highlight is stretched, and `features` [C, H, W].
+    """Return the direction `rotation` [1, H, W] in which each texel's highlight is stretched, `features` [C, H, W], `width` [2].
 
     Second moments of what exceeds the mean, over the half vector's place on the parabolic map; features are the
-    moments' size and shape, free of the direction, and the colour.
+    moments' size and shape, free of the direction, and the colour. The width is the roughness, along and across, of
+    a surface with such moments.
     """
     btf, dtype = surface.training.btf, surface.training.dtype
     normal = normals_from_slopes(slopes)
     frame = torch.stack((*tangent_frame(normal), normal), dim=1).flatten(1)  # [xyz, rows of the frame x texels]
-    sums = torch.zeros(5, btf.height * btf.width, dtype=dtype)
+    sums = torch.zeros(6, btf.height * btf.width, dtype=dtype)
     level = colour.luminance(mean).flatten()
     for run in sample_runs(btf):
         values, valid = surface.values(run)
@@ -183,7 +194,8 @@ def anisotropy(surface: Surface, mean: Tensor, slopes: Tensor) -> dict[str, Tens
         along = (half @ frame).unflatten(1, (3, -1)).unbind(1)
         u, v = (safe.divide(axis, 1 + along[2].clamp(min=0)) for axis in along[:2])
         excess = (colour.luminance(values, dim=1).flatten(1) - level).clamp(min=0) * valid[:, 0].flatten(1)
-        sums += torch.stack([(excess * term).sum(dim=0) for term in (torch.ones_like(u), u, v, u * u - v * v, 2 * u * v)])
+        terms = (torch.ones_like(u), u, v, u * u - v * v, 2 * u * v, u * u + v * v)
+        sums += torch.stack([(excess * term).sum(dim=0) for term in terms])
     with one_thread():
         return _moments(sums, level, mean, len(btf))
 
@@ -197,4 +209,8 @@ def _moments(sums: Tensor, level: Tensor, mean: Tensor, samples: int) -> dict[st
     bright = torch.log1p(total / samples / level.clamp(min=1e-12))
     share = mean.flatten(1) / mean.flatten(1).sum(dim=0).clamp(min=1e-12)
     features = torch.stack((*share, bright, strength * 10))
-    return {"rotation": angle.reshape(1, *size), "features": features.reshape(-1, *size)}
+    spread = (sums[5] - (sums[1] ** 2 + sums[2] ** 2) / total) / total
+    axes = torch.stack(((spread + strength) / 2, (spread - strength) / 2)).clamp(min=0)
+    # Half a slope is the place on the map, and half the square of a roughness the slopes' variance along each axis.
+    width = (8 * (axes * sums[0]).sum(dim=1) / sums[0].sum().clamp(min=1e-12)).sqrt().clamp(_SHARPEST, 1)
+    return {"rotation": angle.reshape(1, *size), "features": features.reshape(-1, *size), "width": width}

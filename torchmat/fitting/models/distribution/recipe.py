@@ -17,7 +17,8 @@ from torchmat.models.edit import without_idle_parts
 def _settle(options: dict[str, Any], fitted: Fitted) -> tuple[dict[str, Any], Fitted]:
     """Return options that leave nothing to decide, and the fit with specular maps of the scale that tiles take."""
     parts, lobes = (fitted.material.options[name] for name in ("parts", "lobes"))
-    chosen = {part: part in parts for part in ("fresnel", "rotation", "tilt")}
+    chosen: dict[str, Any] = {part: part in parts for part in ("fresnel", "rotation", "tilt")}
+    chosen["denominator"] = "smith" if "masking" in parts else "tilt" if "tilt" in parts else "ashikhmin"
     if lobes and isinstance(fitted.shared, DistributionShared):
         fitted = fitted.with_material(fitted.material.with_maps(specular=fitted.shared.specular))
     return {**options, "lobes": lobes, **chosen}, fitted
