@@ -139,6 +139,8 @@ def _of_the_fit(report: Mapping[str, Any]) -> list[str]:
         said.append(f"Not everything is determined: {STOPPED[OPEN]}.")
     if choice.get("short_by_db"):
         said.append(f"It falls short of what was wanted by {number(choice['short_by_db'])} dB.")
+    if (choice.get("highlights") or {}).get("lost"):
+        said.append(f"Highlights are lost: the relative error on them is {number(choice['chosen']['highlight_error'])}.")
     if coverage.get("texels_not_fully_determined"):
         said.append(f"{coverage['texels_not_fully_determined']} of {report['texels']} texels are not fully determined by the data.")
     return said
