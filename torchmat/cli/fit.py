@@ -103,7 +103,7 @@ class Fit:
         from torchmat.report import write_fit
         from torchmat.report.describe_mesh import mesh_line
         from torchmat.report.decisions_page import decided_text, outcome_text
-        from torchmat.report.tables import fit_tables
+        from torchmat.report.tables import fit_tables, stopped_text
 
         run = self._run()
         out = self.out or (Path("out") if run is None else run.folder)
@@ -132,7 +132,7 @@ class Fit:
         if result.report["tiling"]:
             print(f"\ntiles      {Tiling(**result.report['tiling']).sentence()}; --set tiles=true or false says otherwise")
         print()
-        for text in (result.report["lambert_residual"] or {}).get("warnings", ()):
+        for text in (*filter(None, [stopped_text(result.report)]), *(result.report["lambert_residual"] or {}).get("warnings", ())):
             print(f"warning    {text}")
         print(f"material   {folder}")
         if choice:

@@ -25,7 +25,7 @@ from torchmat.models import Material
 from torchmat.models.relief_maps import AMBIENT, RELIEF_MAPS
 from torchmat.models.unbounded import Unbounded, is_free
 from torchmat.solvers import DESCENTS, Minibatch, Stepping, as_solver
-from torchmat.solvers.stop_reasons import NOT_FINITE, STEP_LIMIT
+from torchmat.solvers.stop_reasons import DIVERGED, NOT_FINITE, STEP_LIMIT
 
 _HEIGHT, _AMBIENT = "height", "ambient"
 _RELIEF = tuple(one.name for one in RELIEF_MAPS)
@@ -177,7 +177,7 @@ class Descending:
                 history, reason = history + found.history, found.reason
                 taken = figures.get("steps", 0) + found.steps
                 figures = {**figures_of(filled, found), "steps": taken}
-            if reason == NOT_FINITE or self.training.watch.spent:
+            if reason in (NOT_FINITE, DIVERGED) or self.training.watch.spent:
                 break
         return Fitted(self.made(), reason, None, figures, history=history)
 

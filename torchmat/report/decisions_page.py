@@ -10,8 +10,8 @@ from torchmat.report.pictures import plotting, save_figure
 from torchmat.report.tables import number, text_table
 
 _COLUMNS = {
-    "candidate": "candidate", "bytes": "bytes/texel", "psnr_db": "dB", "psnr_log_db": "log dB", "relative_error": "rel. error",
-    "highlight_error": "on highlights", "gain_db": "gain (dB)", "gain_db_per_byte": "dB a byte", "seconds": "seconds", "gain_db_per_second": "dB a second",
+    "candidate": "candidate", "bytes": "bytes/texel", "psnr_db": "dB", "psnr_log_db": "log dB",
+    "relative_error": "rel. error", "highlight_error": "on highlights", "gain_db": "gain (dB)", "gain_db_per_byte": "dB a byte", "seconds": "seconds", "gain_db_per_second": "dB a second",
     "decision": "decision", "why": "why",
 }
 
@@ -97,7 +97,8 @@ def decisions_text(choice: Mapping[str, Any]) -> str:
         f"Wanted: {wanted_text(choice)}.", f"Outcome: {outcome_text(choice)}.", decided_text(choice),
         f"Measured on {choice['validation_samples']} training samples that no candidate was fitted to, as exported; "
         f"an error counts as met when it is {100 * choice['margin']:.0f} % below what is wanted.",
-        "What was tried, in order. Gains are of the error that is wanted, highlights included, against the truest before.", text_table(*decision_rows(choice)),
+        "What was tried, in order. Gains are of the error that is wanted, highlights included, against the truest before.",
+        text_table(*decision_rows(choice)),
         "How the textures are stored.", text_table(*map_rows(choice)),
     ]
     if choice["shrinking"]:

@@ -140,7 +140,8 @@ def _link(name: str) -> Markup:
 
 
 def _wanted(choice: Mapping[str, Any], plots: dict[str, Markup]) -> list[Markup]:
-    return [paragraph(f"Wanted: {wanted_text(choice)}."), paragraph(spaced(outcome_text(choice))), paragraph(decided_text(choice)), _plots(plots, "decisions")]
+    said = paragraph(f"Wanted: {wanted_text(choice)}."), paragraph(spaced(outcome_text(choice))), paragraph(decided_text(choice))
+    return [*said, _plots(plots, "decisions")]
 
 
 def _decisions(choice: Mapping[str, Any] | None) -> list[Markup]:

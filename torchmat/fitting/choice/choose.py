@@ -35,10 +35,11 @@ def fit_auto(training: Training, target: Target, geometry: Geometry) -> Fitted:
 
     With `bytes` or `seconds` alone it is the best one within them. A target that nothing meets gives the nearest
     material and the stop reason "target not met". Samples kept back must be better than wanted by a margin of 5 % of
-    the error, 0.22 dB. A wish in dB is met where highlights are kept besides (`Target.highlights`). A `geometry` of Recover leaves the relief to the data, Flat forbids it, a Given one is taken
-    as it is. Closed forms are fitted again to all training samples once they are chosen; what takes
-    steps stays as it was fitted without those kept back. The report's figures say under "auto" what was tried, what
-    it brought, and why it was kept or left. Deterministic for a seed unless the `seconds` run out.
+    the error, 0.22 dB. A wish in dB is met where highlights are kept besides (`Target.highlights`). A `geometry` of
+    Recover leaves the relief to the data, Flat forbids it, a Given one is taken as it is. Closed forms are fitted again to
+    all training samples once they are chosen; what takes steps stays as it was fitted without those kept back. The report's
+    figures say under "auto" what was tried, what it brought, and why it was kept or left. Deterministic for a seed unless
+    the `seconds` run out.
     Raises RangeError when nothing is wanted or fewer bytes than a constant takes, FitError when the seconds do not
     suffice for one.
     """
@@ -46,6 +47,7 @@ def fit_auto(training: Training, target: Target, geometry: Geometry) -> Fitted:
     given = check_height(geometry.height, training.btf).to(training.dtype) if isinstance(geometry, Given) else None
     climb = Climb(training, target)
     if given is not None:
+        climb.given = True
         climb.relief(given)
         _check_seconds(climb)
         for recipe in built_by_parts():
@@ -130,7 +132,7 @@ def _delivered(climb: Climb, recovery: Recovery | None) -> Fitted:
         best = climb.shrunk(best) if in_time else replace(best, shrunk=Shrunk(best.material, best.cost))
     fitted, material = best.fitted, best.material
     if not recipe_of(best.rung.model).iterates and not climb.watch.spent:
-        fitted = fit_rung(climb.knowing(climb.training, best), best.rung, best.height)
+        fitted = fit_rung(climb.knowing(climb.training, best), best.rung, best.height, climb.given)
         material = fitted.material.stored_at(material.stored)
     relief = recovery.relief if recovery is not None and best.height is not None else None
     reason = WITHIN if climb.limit is None else MET if climb.meets(best) else NOT_MET
