@@ -75,3 +75,21 @@ def bumpy(size: int = 12) -> Btf:
 def directions() -> tuple[torch.Tensor, torch.Tensor]:
     """Return a few lights and views [n, 3, 1, 1]."""
     return tuple(torch.from_numpy(rows[::9].astype(np.float32))[:, :, None, None] for rows in (LIGHT, VIEW))
+
+
+def lacquer(size: int = 6, alpha: float = 0.08) -> Btf:
+    """Return a dark red with a waving albedo under a smooth coat: highlights far above white, at the mirror angle alone.
+
+    The coat is GGX with Schlick's Fresnel of 0.04 and height-correlated Smith masking, for all texels the same.
+    """
+    around = hemisphere(((0, 1), (25, 6), (50, 8), (75, 10)))
+    light, view = all_pairs(around, around)
+    half = (light + view) / np.linalg.norm(light + view, axis=1, keepdims=True)
+    n_l, n_v, n_h, a2 = light[:, 2], view[:, 2], half[:, 2], alpha**2
+    density = a2 / (n_h**2 * (a2 - 1) + 1) ** 2
+    visible = 0.5 / (n_l * np.sqrt(n_v**2 * (1 - a2) + a2) + n_v * np.sqrt(n_l**2 * (1 - a2) + a2))
+    coat = density * visible * (0.04 + 0.96 * (1 - (view * half).sum(1)) ** 5) * n_l
+    turn = 2 * np.pi * np.arange(size) / size
+    albedo = np.array([0.35, 0.05, 0.04])[:, None, None] * (1 + 0.15 * np.sin(turn)[:, None] * np.cos(turn))
+    images = n_l[:, None, None, None] * albedo + coat[:, None, None, None]
+    return Btf.from_tensors(noisy(images), light.astype(np.float32), view.astype(np.float32))

@@ -22,7 +22,9 @@ from torchmat.fitting import evaluate
 from torchmat.fitting.choice import choose, climb
 from torchmat.fitting.choice.candidate import Option
 from torchmat.fitting.choice.choose import MET, NOT_MET, WITHIN
-from torchmat.fitting.choice.examine import Examiner, keep_back, wanted_cost
+from torchmat.fitting.choice.examine import Examiner
+from torchmat.fitting.choice.kept_back import KeptBack, keep_back
+from torchmat.fitting.choice.measured import wanted_cost
 from torchmat.fitting.choice.ladder import all_rungs
 from torchmat.fitting.choice.shrink import total_bytes
 from torchmat.fitting.recipe import Part
@@ -267,9 +269,9 @@ def test_held_out_samples_leave_no_trace():
 def test_samples_kept_back_are_not_fitted_and_come_from_everywhere():
     btf = data.diffuse(data.colours(6))
     training = make_training(btf, torch.arange(0, len(btf), 2), 4, True, torch.float32, False)
-    back = keep_back(training)
+    back = keep_back(training).rows
     one = climb.Climb(training, Target(psnr=20))
-    assert torch.equal(back, keep_back(training)) and torch.equal(back, back.sort().values)
+    assert torch.equal(back, keep_back(training).rows) and torch.equal(back, back.sort().values)
     assert bool(training.used[back].all()) and not bool(one.part.used[back].any())
     assert int(one.part.used.sum()) + len(back) == int(training.used.sum())
     grazing = btf.light[:, 2] * btf.view[:, 2]
@@ -304,7 +306,7 @@ def test_the_examiner_measures_what_an_evaluation_does(size):
     training = make_training(btf, torch.arange(len(btf)), 0, True, torch.float32, False)
     rows = keep_back(training)
     material = tm.fit(btf, "ptm", holdout=0, measure=False).material
-    found, wanted = Examiner(training, rows).measure(material), evaluate(material.as_exported(), btf, rows).report
+    found, wanted = Examiner(training, rows).measure(material), evaluate(material.as_exported(), btf, rows.rows).report
     # Of the larger map it looks at 4096 of 9216 texels: measured 0.01 dB.
     assert found.psnr_db == pytest.approx(wanted["psnr_db"], abs=1e-4 if size == 12 else 0.05)
     assert found.relative_error == pytest.approx(wanted["relative_error"], rel=1e-5 if size == 12 else 0.02)
@@ -318,12 +320,13 @@ def test_the_examiner_sees_parallax_clipping_and_invalid_samples():
     light, view = (torch.from_numpy(rows).float() for rows in (scene.light, scene.view))
     btf = Btf(summarise(images.clip(max=1), flags), light, view, Decoder(images.dtype, "linear", 1.0))
     training = make_training(btf, torch.arange(len(btf)), 0, True, torch.float32, False)
-    rows = keep_back(training)
+    kept = keep_back(training)
+    rows = KeptBack(kept.rows, torch.ones(len(kept.rows)), kept.highlights_from)
     examiner = Examiner(training, rows)
     for height in (scene.true_height.float(), scene.true_height.float() / 2, scene.true_height.float()):
         fitted = tm.fit(btf, "texture", holdout=0, measure=False, geometry=height).material
         material = fitted.with_maps(albedo=1.3 * fitted.maps["albedo"].detach())  # above what is clipped
-        wanted = evaluate(material.as_exported(), btf, rows).report
+        wanted = evaluate(material.as_exported(), btf, rows.rows).report
         found = examiner.measure(material)
         assert found.psnr_db == pytest.approx(wanted["psnr_db"], abs=1e-4)
         assert found.relative_error == pytest.approx(wanted["relative_error"], rel=1e-5)
@@ -367,7 +370,7 @@ def test_costs_are_what_is_wanted():
 
 
 def test_every_candidate_stands_in_the_log_with_its_numbers():
-    result = tm.fit(data.glossy(data.colours(12)), "auto", psnr=35)
+    result = tm.fit(data.glossy(data.colours(12)), "auto", psnr=35, highlights=1)  # gains are then those in dB
     json.dumps(result.report, allow_nan=False)
     rows = rows_of(result)
     assert [row["candidate"] for row in rows[:4]] == ["constant", "Phong", "texture", "Phong + texture"]

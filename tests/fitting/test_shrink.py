@@ -148,11 +148,12 @@ def test_the_steps_say_what_was_measured():
     material, truth = lptm(wave(3), noise(6))
     cost = squared(truth)
     for step in shrink(material, squared(truth), 3e-4).steps:
-        assert set(step) == {"map", "stored", "bytes", "cost"}
+        assert set(step) == {"map", "stored", "bytes", "cost", "alone"}
         known = {"number": StoredAs((1, 1)), "16 bit": StoredAs(storage="png16")}
         size = known.get(step["stored"]) or StoredAs(tuple(map(int, step["stored"].split(" x "))))
         one = material.stored_at({step["map"]: size})
         assert step["bytes"] == pytest.approx(total_bytes(one)) and step["cost"] == pytest.approx(cost(one))
+        assert cost(step["alone"]) == pytest.approx(step["cost"])
 
 
 def test_nothing_is_measured_twice_and_no_depth_that_cannot_help():

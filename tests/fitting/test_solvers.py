@@ -191,6 +191,52 @@ def test_14_a_rate_a_thousand_times_too_large_ends_in_a_named_reason(solver):
     assert float((parameter.detach().exp() - 2).square()) <= 0.13
 
 
+def few_carry_all(weight):
+    """Return a parameter, and the objective w (x - 3)^2 + (x - 3)^4 over 512 samples, two of which have this weight w, not 1."""
+    parameter = torch.zeros(1, dtype=torch.float64, requires_grad=True)
+    weights = torch.ones(512, dtype=torch.float64)
+    weights[[7, 300]] = weight
+
+    def objective(rows):
+        loss = (weights if rows is None else weights[rows]).mean() * ((parameter - 3).square().sum() + (parameter - 3).pow(4).sum())
+        loss.backward()
+        return float(loss.detach())
+
+    return parameter, objective
+
+
+@pytest.mark.parametrize("weight", [1e3, 1e5, 1e8])
+@pytest.mark.parametrize("seed", range(3))
+def test_a_few_samples_that_carry_nearly_all_the_energy_are_no_divergence(weight, seed):
+    parameter, objective = few_carry_all(weight)
+    met = []
+    found = minibatch(
+        [parameter], lambda rows: (met.append(float(parameter.detach())), objective(rows))[1], every(512), rates=[0.05],
+        steps=700, batch=4, seed=seed,
+    )
+    assert found.reason == STEP_LIMIT and found.steps == 700
+    # The last, which is the best, and not the one before the first batch that holds one of them.
+    assert abs(float(parameter.detach()) - 3) == min(abs(value - 3) for value in met)
+
+
+@pytest.mark.parametrize("weight", [1.0, 1e3])
+def test_what_diverges_in_spite_of_them_says_so_and_returns_the_best(weight):
+    parameter, objective = few_carry_all(weight)
+    met = []
+
+    def turned(rows):  # uphill from step 300 on
+        value = objective(rows)
+        met.append(abs(float(parameter.detach()) - 3))
+        if len(met) > 300:
+            parameter.grad.neg_()
+        return value
+
+    found = minibatch([parameter], turned, every(512), rates=[0.1], steps=4000, batch=4)
+    assert found.reason == DIVERGED and 300 < found.steps < 4000
+    best = abs(float(parameter.detach()) - 3)
+    assert best < 1.3 * min(met) + 0.1 and best < max(met) / 2
+
+
 @pytest.mark.parametrize("solver", ["adam", "minibatch", "lbfgs"])
 def test_a_limit_of_seconds_ends_with_the_best_so_far(solver):
     matrix, truth = well_posed()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -17,7 +18,7 @@ from torchmat.report import compare, write_comparison, write_fit
 from torchmat.report.comparison import parse_model
 from torchmat.report.describe import describe_btf, describe_material, is_material
 from torchmat.report.pictures import directions_picture
-from torchmat.report.tables import COMPARE_COLUMNS, number, text_table, to_json
+from torchmat.report.tables import COMPARE_COLUMNS, number, stopped_text, text_table, to_json
 
 LIGHT, VIEW = all_pairs(hemisphere(), hemisphere(((0, 1), (60, 3))))
 
@@ -56,6 +57,25 @@ def test_a_fit_is_written_whole(btf, tmp_path):
     assert provenance["seed"] == 0 and provenance["options"] == report["options"]
     assert write_together(btf, folder, seed=1) == folder  # an earlier fit is replaced
     assert json.loads((folder / "report.json").read_text("utf-8"))["seed"] == 1
+
+
+def test_a_fit_that_did_not_end_well_says_so():
+    assert stopped_text({"stop_reason": "step limit", "figures": {"solver_steps": 9}}) == ""
+    assert stopped_text({"stop_reason": "diverged", "figures": {"solver_steps": 640}}).startswith(
+        "the fit diverged after 640 steps: this is the best it had met before, not a finished one"
+    )
+    assert stopped_text({"stop_reason": "not finite", "figures": {}}).startswith("the fit met values that are not finite: ")
+    choice = {"auto": {"chosen": {"fit_stopped": "diverged"}}, "steps": 3}
+    assert stopped_text({"stop_reason": "target met", "figures": choice}).startswith("the fit diverged after 3 steps")
+    back = {"geometry": {"fell_back": "the fit on the relief ended (diverged) at 20 dB"}}
+    assert stopped_text({"stop_reason": "step limit", "figures": back}) == f"{back['geometry']['fell_back']}: the surface is flat"
+
+
+def test_the_page_warns_of_a_fit_that_diverged(btf, tmp_path):
+    result = tm.fit(btf, "texture")
+    result = replace(result, report={**result.report, "stop_reason": "diverged"})
+    page = (write_fit(btf, result, tmp_path / "out") / "report.html").read_text("utf-8")
+    assert "The fit diverged: this is the best it had met before" in page
 
 
 def test_without_pictures_only_the_material_and_the_report(btf, tmp_path):

@@ -49,6 +49,8 @@ class Fit:
     """Of auto: relative error wanted on held-out samples."""
     bytes: float | None = None
     """Of auto: most bytes a texel."""
+    highlights: float | None = None
+    """Of auto: relative error on highlights that is kept beside --psnr (default: 0.1); 1 lets them go."""
     seconds: float | None = None
     """Stop fitting then, with the best so far."""
     work: Path | None = None
@@ -65,7 +67,7 @@ class Fit:
 
     def _flags(self) -> list[str]:
         """Return the flags that were given as keys of a config; they win over --set."""
-        keys = ("geometry", "seed", "target.psnr", "target.error", "target.bytes", "target.seconds")
+        keys = ("geometry", "seed", "target.psnr", "target.error", "target.bytes", "target.highlights", "target.seconds")
         given = {key: getattr(self, key.removeprefix("target.")) for key in keys}
         return [f"{key}={json.dumps(value, ensure_ascii=False)}" for key, value in given.items() if value is not None]
 
@@ -100,8 +102,8 @@ class Fit:
         from torchmat.rendering.scene_file import load_scene
         from torchmat.report import write_fit
         from torchmat.report.describe_mesh import mesh_line
-        from torchmat.report.decisions_page import outcome_text
-        from torchmat.report.tables import fit_tables
+        from torchmat.report.decisions_page import decided_text, outcome_text
+        from torchmat.report.tables import fit_tables, stopped_text
 
         run = self._run()
         out = self.out or (Path("out") if run is None else run.folder)
@@ -124,12 +126,13 @@ class Fit:
         choice = result.report["figures"].get("auto")
         if choice:
             print(outcome_text(choice).upper() if result.stop_reason == NOT_MET else outcome_text(choice))
+            print(decided_text(choice))
             print()
         print(fit_tables(result.report))
         if result.report["tiling"]:
             print(f"\ntiles      {Tiling(**result.report['tiling']).sentence()}; --set tiles=true or false says otherwise")
         print()
-        for text in (result.report["lambert_residual"] or {}).get("warnings", ()):
+        for text in (*filter(None, [stopped_text(result.report)]), *(result.report["lambert_residual"] or {}).get("warnings", ())):
             print(f"warning    {text}")
         print(f"material   {folder}")
         if choice:

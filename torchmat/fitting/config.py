@@ -40,7 +40,8 @@ class FitConfig:
             of one model on a relief that is recovered, else fast.
         finish: whether a fit on a fine relief ends with steps on the pictures themselves, where that pays.
         tiles: whether the surface repeats at its borders; "auto" asks the images (`tiling_of`).
-        target: what is wanted: of "auto" `error` (relative), `psnr` (dB), `bytes` a texel; of any model `seconds`.
+        target: what is wanted: of "auto" `error` (relative), `psnr` (dB), `bytes` a texel, `highlights` (relative
+            error there, 0.1); of any model `seconds`.
         tile_size: side, in texels, of the tiles that are fitted one after the other; 0 is no wish.
         memory_mb: what a fit may take, in MB, by tiles if need be; 0 is no wish.
         data: keywords of `load_btf`, used by the command line.
@@ -71,7 +72,7 @@ class FitConfig:
             if not 0 <= getattr(self, name) < math.inf:
                 step = "0 leaves it open."
                 raise RangeError(message("config", name, "be at least 0", f"it is {getattr(self, name)}", step))
-        others = [name for name in ("error", "psnr", "bytes") if self.target.get(name) is not None]
+        others = [name for name in ("error", "psnr", "bytes", "highlights") if self.target.get(name) is not None]
         if others and self.model != AUTO:
             step = f'Fit "{AUTO}" to let the model be chosen, or leave {others[0]} out.'
             raise RangeError(message("fit", others[0], f'be wanted of the model "{AUTO}"', f"it is {self.model}", step))

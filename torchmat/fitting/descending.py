@@ -19,7 +19,7 @@ from torchmat.models import Material
 from torchmat.models.relief_maps import AMBIENT
 from torchmat.models.unbounded import Unbounded
 from torchmat.solvers import Stepping
-from torchmat.solvers.stop_reasons import NOT_FINITE, STEP_LIMIT
+from torchmat.solvers.stop_reasons import DIVERGED, NOT_FINITE, STEP_LIMIT
 
 _HEIGHT, _AMBIENT = "height", "ambient"
 
@@ -102,7 +102,7 @@ class Descending:
                 history, reason = history + found.history, found.reason
                 taken = figures.get("steps", 0) + found.steps
                 figures = {**figures_of(filled, found), "steps": taken}
-            if reason == NOT_FINITE or self.training.watch.spent:
+            if reason in (NOT_FINITE, DIVERGED) or self.training.watch.spent:
                 break
         return Fitted(self.made(), reason, None, figures, history=history)
 

@@ -88,6 +88,7 @@ def fit(
     psnr: float | None = None,
     bytes: float | None = None,
     seconds: float | None = None,
+    highlights: float | None = None,
     scene: SceneUse | Usable | Sequence[SceneUse | Usable] | None = None,
     tile_size: int | None = None,
     memory_mb: float | None = None,
@@ -124,6 +125,8 @@ def fit(
         error, psnr: of "auto", the relative error or the dB on held-out samples that the smallest material must reach.
         bytes: of "auto", the most bytes a texel, shared tables included.
         seconds: what the fit may take; an iterative solver then stops with the best so far.
+        highlights: of "auto", the relative error on highlights that is kept beside `psnr`, and weighed with `bytes` or `seconds`
+            alone (0.1); 1 lets them go, as dB alone would: they are few, and above white a display shows none.
         scene: a Scene or several: fit only the texels, lights and views that they use, weighted as they use them; the report
             then says what that saves and costs.
         tile_size: texels on a side that are fitted at a time; None is all, or as many as `memory_mb` allows.
@@ -144,7 +147,7 @@ def fit(
         "holdout": holdout, "holdout_by": holdout_by, "seed": seed, "relief": relief, "finish": finish, "tiles": tiles,
         "tile_size": tile_size, "memory_mb": memory_mb,
     }
-    wanted = {"error": error, "psnr": psnr, "bytes": bytes, "seconds": seconds}
+    wanted = {"error": error, "psnr": psnr, "bytes": bytes, "seconds": seconds, "highlights": highlights}
     how = FULL if measure is True else NONE if measure is False else measure
     check_option("fit", "measure", how, MEASURES)
     if dtype not in (torch.float32, torch.float64):

@@ -28,7 +28,8 @@ AUTO = "auto"  # not a model: the choice among them
 class Rung:
     """One candidate of the automatic choice: a model with its options, and maps that are stored as numbers.
 
-    `bytes` is what its maps take a texel, in 8 bits.
+    `bytes` is what its maps take a texel, in 8 bits. `late` says that its fit takes seconds: it is tried on a flat surface
+    alone, and where nothing that takes less has what is wanted.
     """
 
     name: str
@@ -36,6 +37,7 @@ class Rung:
     bytes: float
     options: Mapping[str, Any] = field(default_factory=dict)
     stored: Mapping[str, StoredAs] = field(default_factory=dict)
+    late: bool = False
 
     @property
     def settings(self) -> dict[str, Any]:

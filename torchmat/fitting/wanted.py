@@ -11,7 +11,7 @@ from torch import Tensor
 
 from torchmat.errors import RangeError, check_known_keys, message
 
-TARGET_KEYS = ("error", "psnr", "bytes", "seconds")
+TARGET_KEYS = ("error", "psnr", "bytes", "seconds", "highlights")
 
 
 @dataclass(frozen=True)
@@ -19,13 +19,15 @@ class Target:
     """The wanted error on samples never seen, and budgets; None is no wish.
 
     `error` is the relative error, `psnr` in dB, both after export; `bytes` a texel, shared tables included; `seconds` of
-    fitting. Raises RangeError for numbers that cannot be, and when both `error` and `psnr` are given.
+    fitting. `highlights` is the relative error on highlights that is kept besides (None: 0.1), unless `error` is wanted,
+    which they dominate; from 1 on they are let go. Raises RangeError for numbers that cannot be, and when both `error` and `psnr` are given.
     """
 
     error: float | None = None
     psnr: float | None = None
     bytes: float | None = None
     seconds: float | None = None
+    highlights: float | None = None
 
     def __post_init__(self) -> None:
         for name in TARGET_KEYS:
@@ -39,6 +41,9 @@ class Target:
             fact = f"they are {self.error} and {self.psnr}"
             step = "Give the one that matters; the report holds both."
             raise RangeError(message("fit", "error and psnr", "not be wanted together", fact, step))
+        if self.error is not None and self.highlights is not None:
+            fact, step = f"error is {self.error}", "Leave highlights out: the relative error is mostly theirs."
+            raise RangeError(message("fit", "highlights", "be wanted beside psnr, bytes or seconds", fact, step))
 
 
 def make_target(where: str, table: Mapping[str, Any]) -> Target:

@@ -10,10 +10,13 @@ from torchmat.report.pictures import plotting, save_figure
 from torchmat.report.tables import number, text_table
 
 _COLUMNS = {
-    "candidate": "candidate", "bytes": "bytes/texel", "psnr_db": "dB", "relative_error": "rel. error",
-    "gain_db": "gain (dB)", "gain_db_per_byte": "dB a byte", "seconds": "seconds", "gain_db_per_second": "dB a second",
+    "candidate": "candidate", "bytes": "bytes/texel", "psnr_db": "dB", "psnr_log_db": "log dB",
+    "relative_error": "rel. error", "highlight_error": "on highlights", "gain_db": "gain (dB)", "gain_db_per_byte": "dB a byte", "seconds": "seconds", "gain_db_per_second": "dB a second",
     "decision": "decision", "why": "why",
 }
+
+
+_ERRORS = ("psnr_db", "relative_error", "highlight_error")
 
 
 def decision_rows(choice: Mapping[str, Any]) -> tuple[list[str], list[list[Any]]]:
@@ -25,9 +28,13 @@ def wanted_text(choice: Mapping[str, Any]) -> str:
     """Return what was wanted, in words."""
     units = {
         "psnr": "at least {} dB", "error": "a relative error of at most {}", "bytes": "at most {} bytes a texel",
-        "seconds": "{} seconds",
+        "seconds": "{} seconds", "highlights": "a relative error of at most {} on highlights",
     }
-    target = choice["target"]
+    target = dict(choice["target"])
+    if target.get("psnr") is not None and choice["highlights"]["from"] is not None:
+        target["highlights"] = choice["highlights"]["at_most"]
+    if (target.get("highlights") or 0) >= 1:
+        units["highlights"] = "highlights may go"
     return ", ".join(text.format(number(target[name])) for name, text in units.items() if target.get(name) is not None)
 
 
@@ -35,11 +42,29 @@ def outcome_text(choice: Mapping[str, Any]) -> str:
     """Return what came of it, in one line."""
     chosen = choice["chosen"]
     short = f", by {number(choice['short_by_db'])} dB" if choice["short_by_db"] else ""
+    shine = "" if chosen["highlight_error"] is None else f", {number(chosen['highlight_error'])} on highlights"
     return (
         f"{choice['outcome']}{short}: {chosen['candidate']}, {number(chosen['bytes'])} bytes a texel "
         f"({number(chosen['bytes_per_texel'])} and {chosen['shared_bytes']} that all share), "
-        f"{number(chosen['psnr_db'])} dB, relative error {number(chosen['relative_error'])}"
+        f"{number(chosen['psnr_db'])} dB, relative error {number(chosen['relative_error'])}{shine}"
     )
+
+
+def decided_text(choice: Mapping[str, Any]) -> str:
+    """Return which figure decided, and whether highlights are lost, in one or two sentences."""
+    chosen, shine, wish = choice["chosen"], choice["highlights"], choice["target"]
+    words = {"psnr_db": "the dB", "highlight_error": "the relative error on highlights", "relative_error": "the relative error"}
+    decided = f"What decided was {words[choice['decided_by']]}."
+    if shine["from"] is None:
+        return f"{decided} The images show no highlights."
+    if not shine["lost"]:
+        return decided
+    there = f"where a channel reaches {number(shine['from'])} the relative error is {number(chosen['highlight_error'])}"
+    if choice["short_by_db"] == 0:
+        return f"{decided} The dB are as wanted, but highlights are lost: {there}. No candidate within the budget keeps them."
+    allowed = " They were let go on request." if shine["at_most"] >= 1 else ""
+    step = "" if allowed or wish.get("bytes") is None else " More bytes may keep them."
+    return f"{decided} Highlights are lost: {there}.{allowed}{step}"
 
 
 def map_rows(choice: Mapping[str, Any]) -> tuple[list[str], list[list[Any]]]:
@@ -57,9 +82,8 @@ def map_rows(choice: Mapping[str, Any]) -> tuple[list[str], list[list[Any]]]:
 
 def shrinking_rows(choice: Mapping[str, Any]) -> tuple[list[str], list[list[Any]]]:
     """Return header and rows of each map stored smaller by itself: bytes of the material, and its error."""
-    key = error_key(choice)
-    header = ["map", "stored", "bytes/texel", _COLUMNS[key]]
-    return header, [[step["map"], step["stored"], step["bytes"], step[key]] for step in choice["shrinking"]]
+    keys = ("map", "stored", "bytes", *(key for key in _ERRORS if key in (error_key(choice), "highlight_error")))
+    return [_COLUMNS.get(key, key) for key in keys], [[step[key] for key in keys] for step in choice["shrinking"]]
 
 
 def error_key(choice: Mapping[str, Any]) -> str:
@@ -70,10 +94,11 @@ def error_key(choice: Mapping[str, Any]) -> str:
 def decisions_text(choice: Mapping[str, Any]) -> str:
     """Return the log of a choice, for people."""
     parts = [
-        f"Wanted: {wanted_text(choice)}.", f"Outcome: {outcome_text(choice)}.",
+        f"Wanted: {wanted_text(choice)}.", f"Outcome: {outcome_text(choice)}.", decided_text(choice),
         f"Measured on {choice['validation_samples']} training samples that no candidate was fitted to, as exported; "
         f"an error counts as met when it is {100 * choice['margin']:.0f} % below what is wanted.",
-        "What was tried, in order. Gains are against the truest candidate before.", text_table(*decision_rows(choice)),
+        "What was tried, in order. Gains are of the error that is wanted, highlights included, against the truest before.",
+        text_table(*decision_rows(choice)),
         "How the textures are stored.", text_table(*map_rows(choice)),
     ]
     if choice["shrinking"]:

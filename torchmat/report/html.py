@@ -9,7 +9,7 @@ from typing import Any
 from urllib.parse import quote
 
 from torchmat import colour
-from torchmat.report.decisions_page import decision_rows, map_rows, outcome_text, shrinking_rows, wanted_text
+from torchmat.report.decisions_page import decided_text, decision_rows, map_rows, outcome_text, shrinking_rows, wanted_text
 from torchmat.report.inline import data_uri, shown_size
 from torchmat.report.map_cards import MOST, MapCard
 from torchmat.report.page import Markup, Picture, code, details, figure, listed, page, paragraph, plot, section, table, text
@@ -140,7 +140,8 @@ def _link(name: str) -> Markup:
 
 
 def _wanted(choice: Mapping[str, Any], plots: dict[str, Markup]) -> list[Markup]:
-    return [paragraph(f"Wanted: {wanted_text(choice)}."), paragraph(spaced(outcome_text(choice))), _plots(plots, "decisions")]
+    said = paragraph(f"Wanted: {wanted_text(choice)}."), paragraph(spaced(outcome_text(choice))), paragraph(decided_text(choice))
+    return [*said, _plots(plots, "decisions")]
 
 
 def _decisions(choice: Mapping[str, Any] | None) -> list[Markup]:
@@ -149,7 +150,7 @@ def _decisions(choice: Mapping[str, Any] | None) -> list[Markup]:
     header, tried = decision_rows(choice)
     (maps, stored), (columns, steps) = map_rows(choice), shrinking_rows(choice)
     tables = [table(maps, map(_in_words, stored), words=(1, 2)), *([table(columns, map(_in_words, steps), words=(1,))] if steps else [])]
-    return [section("What was tried", table(header, [[code(row[0]), *_in_words(row[1:])] for row in tried], words=(8, 9))),
+    return [section("What was tried", table(header, [[code(row[0]), *_in_words(row[1:])] for row in tried], words=(10, 11))),
             section("How the textures are stored", *tables)]
 
 

@@ -6,12 +6,13 @@ import csv
 import io
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from torchmat.fitting.evaluate import NotMeasured
 from torchmat.report.words import COMPARED
+from torchmat.solvers.stop_reasons import DIVERGED, NOT_FINITE
 
 FIGURES = ("relative_error", "psnr_db", "psnr_log_db", "ssim", "delta_e", "mse")
 COMPARE_MEANINGS = {name: figure.meaning for name, figure in COMPARED.items()}
@@ -91,6 +92,21 @@ def error_table(report: dict[str, Any]) -> str:
 def refit_table(report: dict[str, Any]) -> str:
     """Return the six figures before and after a refit, on train and held-out samples, as a table."""
     return text_table(*error_rows(report, _REFITTED))
+
+
+def stopped_text(report: Mapping[str, Any]) -> str:
+    """Return what is to be said of a fit that did not end as it should; empty where it did."""
+    figures = report.get("figures") or {}
+    choice, back = figures.get("auto"), (figures.get("geometry") or {}).get("fell_back")
+    said = [f"{back}: the surface is flat"] if back else []
+    reason = choice["chosen"]["fit_stopped"] if choice else report.get("stop_reason")
+    if reason in (DIVERGED, NOT_FINITE):
+        steps = figures.get("solver_steps", figures.get("steps"))
+        ended = "diverged" if reason == DIVERGED else "met values that are not finite"
+        after = "" if steps is None else f" after {steps} steps"
+        best = "this is the best it had met before, not a finished one; a solver with a smaller rate may help"
+        said.insert(0, f"the fit {ended}{after}: {best}")
+    return "; ".join(said)
 
 
 def summary_table(report: dict[str, Any]) -> str:

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
-from torchmat.report.tables import number
+from torchmat.report.tables import number, stopped_text
 from torchmat.report.words import STOPPED
 from torchmat.solvers.stop_reasons import BUDGET, DIVERGED, NOT_FINITE, OPEN, STEP_LIMIT
 
@@ -137,11 +137,19 @@ def _of_the_fit(report: Mapping[str, Any]) -> list[str]:
         said.append(f"The fit was not at its end: {STOPPED[report['stop_reason']]}. More time may make it truer.")
     if report.get("stop_reason") == OPEN:
         said.append(f"Not everything is determined: {STOPPED[OPEN]}.")
+    if stopped_text(report):
+        said.append(f"{_capital(stopped_text(report))}.")
     if choice.get("short_by_db"):
         said.append(f"It falls short of what was wanted by {number(choice['short_by_db'])} dB.")
+    if (choice.get("highlights") or {}).get("lost"):
+        said.append(f"Highlights are lost: the relative error on them is {number(choice['chosen']['highlight_error'])}.")
     if coverage.get("texels_not_fully_determined"):
         said.append(f"{coverage['texels_not_fully_determined']} of {report['texels']} texels are not fully determined by the data.")
     return said
+
+
+def _capital(sentence: str) -> str:
+    return sentence[:1].upper() + sentence[1:]
 
 
 def _of_the_data(report: Mapping[str, Any]) -> list[str]:

@@ -7,6 +7,7 @@ leaves its gradient in the parameters' `grad`; the parameters are changed in pla
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -22,7 +23,10 @@ from torchmat.solvers.stop_reasons import BUDGET, CONVERGED, DIVERGED, NOT_FINIT
 _PATIENCE = 25  # steps within which the lowest value must fall by the tolerance
 _WORSE = 100.0  # times the value at the start: no useful step is that far uphill
 _FLAT = 1.5  # times the value at the start: what goes to and fro above has not converged
-_LOOK, _SMOOTH, _UPHILL, _NEARLY = 50, 0.98, 8.0, 1.05  # of batches: no batch is that much harder than the rest
+_LOOK, _SMOOTH, _UPHILL, _NEARLY = 50, 0.98, 8.0, 1.05  # of batches
+# A few samples may carry nearly all the energy, so that a running mean rises eightfold by chance: then, and at the end, two
+# states are compared on the same batches, so many of the last ones, and this many times as much there is worse indeed.
+_PAIRED, _WORSE_THERE = 8, 4.0
 _NOTHING = 1e-4  # of the first value: below, batches of noise-free data differ by any factor
 _WARM, _END = 20, 0.03  # steps until the full rate; share of it at the end
 _BETAS = (0.9, 0.99)
@@ -71,16 +75,30 @@ class _Best:
         if self.made is not None and self.watch.due:
             self.watch.note(self.made)
 
-    def keep_last(self, value: float) -> None:
-        """Take the present parameters for the best where their value is so but for the noise of batches."""
-        if value <= _NEARLY * self.found.value:
+    def keep_last(self, value: float, lowest: float) -> None:
+        """Take the present parameters for the best where their value is so, but for the noise of batches."""
+        if value <= _NEARLY * lowest:
             self.kept = [parameter.detach().clone() for parameter in self.parameters]
+
+    def compare(self, objective: Objective, batches: Sequence[Tensor]) -> tuple[float, float]:
+        """Return the mean value over the same batches at the present parameters and at the best."""
+        some = [batches[place] for place in torch.linspace(0, len(batches) - 1, min(_PAIRED, len(batches))).round().int().tolist()]
+        last, found = [parameter.detach().clone() for parameter in self.parameters], []
+        for values in (last, self.kept):
+            self._set(values)
+            found.append(sum(objective(rows) for rows in some) / len(some))
+            _clear(self.parameters)
+        self._set(last)
+        return found[0], found[1]
+
+    def _set(self, values: Sequence[Tensor]) -> None:
+        with torch.no_grad():
+            for parameter, value in zip(self.parameters, values, strict=True):
+                parameter.copy_(value)
 
     def restore(self) -> None:
         """Bring the best parameters back."""
-        with torch.no_grad():
-            for parameter, value in zip(self.parameters, self.kept, strict=True):
-                parameter.copy_(value)
+        self._set(self.kept)
 
     def end(self, reason: str) -> Descent:
         """Bring the best parameters back and say why."""
@@ -137,8 +155,9 @@ def minibatch(
 ) -> Descent:
     """Run Adam on `batch` samples at a time, a rate for each parameter, which falls along half a cosine.
 
-    `draw` gives all samples in a random order, again and again. Values of batches are judged by their running mean: it
-    diverges where that is eight times its lowest, and the last parameters count as the best where it is nearly that.
+    `draw` gives all samples in a random order, again and again. Values of batches are judged by their running mean. Where
+    that is eight times its lowest the parameters are compared with the best on the same batches, and it has diverged if they
+    are four times as bad there; at the end the last ones count as the best unless they are worse on the same batches.
     `until` is the watch's second at which it must stop, where that is before the watch's limit: rates then fall sooner.
     """
     watch = watch or Watch()
@@ -148,7 +167,7 @@ def minibatch(
     groups = [{"params": [one], "lr": 0.0, "rate": rate} for one, rate in zip(parameters, rates, strict=True)]
     solver = torch.optim.Adam(groups, betas=_BETAS, eps=eps)
     order, place = draw(generator), 0
-    batch = min(batch, len(order))
+    batch, recent, known = min(batch, len(order)), deque[Tensor](maxlen=_LOOK), 0.0
     for step in progress(range(steps + 1), "fitting", show=show):
         spent = watch.seconds >= until
         last = step == steps or spent
@@ -157,6 +176,7 @@ def minibatch(
             order, place = draw(generator), 0
         if not last or step == 0:
             rows, place = order[place : place + batch], place + batch
+            recent.append(rows)
         _clear(parameters)
         value = objective(rows)
         running = value if running is None else _SMOOTH * running + (1 - _SMOOTH) * value
@@ -166,10 +186,15 @@ def minibatch(
         if not math.isfinite(value) or (judged and not best.look(running)):
             return best.end(NOT_FINITE)
         best.note()
-        if running > _UPHILL * max(min(best.found.value, first), _NOTHING * first):
-            return best.end(DIVERGED)
+        if running > _UPHILL * max(min(best.found.value, first), _NOTHING * first, known):
+            now, lowest = best.compare(objective, list(recent))
+            if not now <= _WORSE_THERE * lowest:
+                return best.end(DIVERGED)
+            best.keep_last(now, lowest)
+            known, _ = running, objective(rows)  # the gradient of this step again
         if last:
-            best.keep_last(running)
+            means = running, best.found.value
+            best.keep_last(*(means if means[0] <= _NEARLY * means[1] else best.compare(objective, list(recent))))
             return best.end(BUDGET if spent and step < steps else STEP_LIMIT)
         # Nothing but a limit of seconds may make the steps depend on the clock.
         done = step / steps if until == math.inf else max(step / steps, (watch.seconds - begun) / max(until - begun, 1e-9))

@@ -15,16 +15,15 @@ from typing import Any
 
 from torchmat.errors import FitError, RangeError, message
 from torchmat.fitting.choice.candidate import Option, fit_rung
-from torchmat.fitting.choice.climb import MARGIN, SPENT, Climb
-from torchmat.fitting.choice.decisions import gain_db
+from torchmat.fitting.choice.climb import SPENT, Climb
 from torchmat.fitting.choice.ladder import built_by_parts
+from torchmat.fitting.choice.measured import MARGIN, most_on_highlights
 from torchmat.fitting.choice.shrink import Shrunk, total_bytes
 from torchmat.fitting.geometry import Geometry, Given, Recover, check_height
 from torchmat.fitting.recipe import recipe_of
 from torchmat.fitting.relief.recover import Recovery, recover_relief
 from torchmat.fitting.training import Fitted, Training
 from torchmat.fitting.wanted import Target
-from torchmat.metrics import psnr
 from torchmat.models import Material
 
 MET, NOT_MET, WITHIN = "target met", "target not met", "best within the budget"
@@ -36,10 +35,11 @@ def fit_auto(training: Training, target: Target, geometry: Geometry) -> Fitted:
 
     With `bytes` or `seconds` alone it is the best one within them. A target that nothing meets gives the nearest
     material and the stop reason "target not met". Samples kept back must be better than wanted by a margin of 5 % of
-    the error, 0.22 dB. A `geometry` of Recover leaves the relief to the data, Flat forbids it, a Given one is taken
-    as it is. Closed forms are fitted again to all training samples once they are chosen; what takes
-    steps stays as it was fitted without those kept back. The report's figures say under "auto" what was tried, what
-    it brought, and why it was kept or left. Deterministic for a seed unless the `seconds` run out.
+    the error, 0.22 dB. A wish in dB is met where highlights are kept besides (`Target.highlights`). A `geometry` of
+    Recover leaves the relief to the data, Flat forbids it, a Given one is taken as it is. Closed forms are fitted again to
+    all training samples once they are chosen; what takes steps stays as it was fitted without those kept back. The report's
+    figures say under "auto" what was tried, what it brought, and why it was kept or left. Deterministic for a seed unless
+    the `seconds` run out.
     Raises RangeError when nothing is wanted or fewer bytes than a constant takes, FitError when the seconds do not
     suffice for one.
     """
@@ -47,6 +47,7 @@ def fit_auto(training: Training, target: Target, geometry: Geometry) -> Fitted:
     given = check_height(geometry.height, training.btf).to(training.dtype) if isinstance(geometry, Given) else None
     climb = Climb(training, target)
     if given is not None:
+        climb.given = True
         climb.relief(given)
         _check_seconds(climb)
         for recipe in built_by_parts():
@@ -66,7 +67,7 @@ def fit_auto(training: Training, target: Target, geometry: Geometry) -> Fitted:
 
 
 def _check_target(target: Target, training: Training) -> None:
-    if target == Target():
+    if replace(target, highlights=None) == Target():
         step = "Give error, psnr, bytes or seconds."
         raise RangeError(message("fit auto", "the target", "say what is wanted", "it says nothing", step))
     least = 12 / (training.btf.height * training.btf.width)
@@ -131,7 +132,7 @@ def _delivered(climb: Climb, recovery: Recovery | None) -> Fitted:
         best = climb.shrunk(best) if in_time else replace(best, shrunk=Shrunk(best.material, best.cost))
     fitted, material = best.fitted, best.material
     if not recipe_of(best.rung.model).iterates and not climb.watch.spent:
-        fitted = fit_rung(climb.knowing(climb.training, best), best.rung, best.height)
+        fitted = fit_rung(climb.knowing(climb.training, best), best.rung, best.height, climb.given)
         material = fitted.material.stored_at(material.stored)
     relief = recovery.relief if recovery is not None and best.height is not None else None
     reason = WITHIN if climb.limit is None else MET if climb.meets(best) else NOT_MET
@@ -146,7 +147,12 @@ def _figures(climb: Climb, best: Option, reason: str) -> dict[str, Any]:
     measured = climb.examiner.measure(best.material)
     return {
         "target": dataclasses.asdict(climb.target), "margin": MARGIN, "outcome": reason,
-        "short_by_db": max(0.0, gain_db(best.cost, climb.limit)) if reason == NOT_MET and climb.limit else None,
+        "short_by_db": measured.short_by_db(climb.target) if reason == NOT_MET else None,
+        "decided_by": measured.decided_by(climb.target),
+        "highlights": {
+            "from": climb.examiner.highlights_from, "at_most": most_on_highlights(climb.target),
+            "lost": measured.loses_highlights(climb.target),
+        },
         "validation_samples": climb.examiner.samples, "candidates": climb.log.rows,
         "chosen": {
             "candidate": best.name, "model": best.rung.model, "options": best.rung.settings,
@@ -155,15 +161,14 @@ def _figures(climb: Climb, best: Option, reason: str) -> dict[str, Any]:
             "shared_bytes": best.material.shared_bytes,
             **measured._asdict(), "maps": _stored_maps(best.material),
         },
-        "shrinking": [_told(step, climb.target) for step in (best.shrunk.steps if best.shrunk else ())],
+        "shrinking": [_told(climb, step) for step in (best.shrunk.steps if best.shrunk else ())],
     }
 
 
-def _told(step: dict[str, Any], target: Target) -> dict[str, Any]:
-    """Return a step of shrinking with its cost in the unit of the target."""
-    cost = step["cost"]
-    error = {"relative_error": cost} if target.error is not None else {"psnr_db": psnr(cost)}
-    return {"map": step["map"], "stored": step["stored"], "bytes": step["bytes"], **error}
+def _told(climb: Climb, step: dict[str, Any]) -> dict[str, Any]:
+    """Return a step of shrinking with its errors."""
+    told = {name: step[name] for name in ("map", "stored", "bytes")}
+    return {**told, **climb.examiner.measure(step["alone"])._asdict()}
 
 
 def _stored_maps(material: Material) -> list[dict[str, Any]]:

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
-from torchmat.fitting.choice.examine import Measured
+from torchmat.fitting.choice.measured import Measured
 
 KEPT, LEFT, SKIPPED = "kept", "left", "skipped"
 

@@ -16,58 +16,19 @@ from torch import Tensor
 
 from torchmat.colour import display
 from torchmat.btf import Btf
+from torchmat.fitting.choice.kept_back import KeptBack
+from torchmat.fitting.choice.measured import Measured
 from torchmat.fitting.training import Training
-from torchmat.fitting.wanted import Target
-from torchmat.metrics import psnr, relative
+from torchmat.metrics import log_encode, psnr, relative
 from torchmat.models import Material
 from torchmat.models.fine_relief import FineRays
 from torchmat.models.relief_maps import Rays, rays, shade_along
 from torchmat.repeatable import one_thread
 
-_SHARE, _FEWEST, _MOST = 0.1, 16, 128  # of the training samples are kept back
 _VALUES = 1_000_000  # of a batch, as in an evaluation
-_MOST_VALUES = 40_000_000  # of all samples kept back of a surface whose rays are remembered
 _TEXELS, _FEW = 4096, 1024  # of a flat material that are looked at, and about those that are enough for a first look
 _FEWEST_KEPT, _MOST_KEPT = 3, 12  # heights whose rays are remembered: all that shrinking tries
 _KEPT_RAYS = 8_000_000  # of all of them
-
-
-class Measured(NamedTuple):
-    """Errors on the samples kept back: `psnr_db`, and `relative_error` (infinite where black was missed)."""
-
-    psnr_db: float
-    relative_error: float
-
-    def cost(self, target: Target) -> float:
-        """Return the error that the target asks for as one that adds up: relative, or the mean square on a display."""
-        return self.relative_error if target.error is not None else 10 ** (-self.psnr_db / 10)
-
-
-def wanted_cost(target: Target) -> float | None:
-    """Return the largest cost that meets the target, None where no error is wanted."""
-    if target.error is not None:
-        return target.error
-    return None if target.psnr is None else 10 ** (-target.psnr / 10)
-
-
-def keep_back(training: Training) -> Tensor:
-    """Return the samples [n], ascending, that are kept back: evenly from frontal to grazing ones, by the seed.
-
-    Grazing samples are the hard ones; drawn without regard to that, few samples would say little of all.
-    """
-    btf = training.btf
-    rows = training.used.nonzero()[:, 0]
-    if len(rows) < 2:
-        return rows
-    count = min(_MOST, max(_FEWEST, round(_SHARE * len(rows))), max(1, len(rows) // 5))
-    most = max(_FEWEST, _MOST_VALUES // (3 * btf.height * btf.width))
-    count = min(count, most)
-    grazing = (btf.light[rows, 2] * btf.view[rows, 2]).double()
-    order = rows[grazing.argsort(stable=True)]
-    ends = torch.linspace(0, len(order), count + 1).round().long()
-    generator = torch.Generator().manual_seed(training.seed)
-    place = torch.rand(count, generator=generator, dtype=torch.float64)
-    return order[ends[:-1] + (place * (ends[1:] - ends[:-1])).long()].sort().values
 
 
 class _Batch(NamedTuple):
@@ -77,6 +38,7 @@ class _Batch(NamedTuple):
     shown: Tensor
     valid: Tensor
     clipped: Tensor
+    weight: Tensor
 
     def directions(self, dtype: torch.dtype) -> tuple[Tensor, Tensor]:
         """Return light and view in a material's precision."""
@@ -84,11 +46,11 @@ class _Batch(NamedTuple):
 
 
 class Examiner:
-    """Measures materials, as exported, on samples `rows` of the training's BTF."""
+    """Measures materials, as exported, on samples of the training's BTF, each of which counts as many as it stands for."""
 
-    def __init__(self, training: Training, rows: Tensor) -> None:
-        self._btf, self._rows = training.btf, rows
-        self.samples = len(rows)
+    def __init__(self, training: Training, kept: KeptBack) -> None:
+        self._btf, self._kept = training.btf, kept
+        self.samples, self.highlights_from = len(kept.rows), kept.highlights_from
         self._texels = _some_texels(training.btf, training.seed)
         self._whole: list[_Batch] | None = None
         self._part: list[_Batch] | None = None
@@ -103,20 +65,23 @@ class Examiner:
 
     def measure_as_it_is(self, material: Material) -> Measured:
         """Return the errors of `material` without export."""
-        sums = torch.zeros(4, dtype=torch.float64)
+        sums, bound = torch.zeros(7, dtype=torch.float64), self.highlights_from
         with torch.no_grad():
             if material.has_relief:
                 batches = self._all_texels()
                 met = self._followed(material, batches)
                 for batch, along in zip(batches, met, strict=True):
-                    sums += _sums(shade_along(material, *batch.directions(material.dtype), along), batch)
+                    sums += _sums(shade_along(material, *batch.directions(material.dtype), along), batch, bound)
             else:
                 small = material if self._texels is None else _texels_of(material, self._texels)
                 for batch in self._some_texels():
-                    sums += _sums(small.shade(*batch.directions(material.dtype)), batch)
-        squared, energy, display, count = sums.tolist()
-        error = relative(squared, energy)
-        return Measured(psnr(display / max(count, 1.0)), float("inf") if error is None else error)
+                    sums += _sums(small.shade(*batch.directions(material.dtype)), batch, bound)
+        squared, energy, shown, log, count, missed, bright = sums.tolist()
+        error, count = relative(squared, energy), max(count, 1.0)
+        return Measured(
+            psnr(shown / count), math.inf if error is None else error, psnr(log / count),
+            missed / bright if bright > 0 else None,
+        )
 
     def _all_texels(self) -> list[_Batch]:
         if self._whole is None:
@@ -132,12 +97,13 @@ class Examiner:
 
     def _read(self, texels: Tensor | None) -> list[_Batch]:
         btf, batches = self._btf, []
-        for part in self._rows.split(max(1, _VALUES // (3 * btf.height * btf.width))):
+        size = max(1, _VALUES // (3 * btf.height * btf.width))
+        for part, weight in zip(self._kept.rows.split(size), self._kept.weight.split(size), strict=True):
             target, valid = btf.images(part), btf.valid(part)
             clipped = btf.saturated(part, target)
             if texels is not None:  # before all else: what is left is few
                 target, valid, clipped = (_chosen(each, texels) for each in (target, valid, clipped))
-            planes = [target, display(target), valid.expand_as(target), clipped]
+            planes = [target, display(target), valid.expand_as(target), clipped, weight[:, None, None, None].to(target.dtype)]
             directions = [direction[part][:, :, None, None].float() for direction in (btf.light, btf.view)]
             batches.append(_Batch(*directions, *planes))
         return batches if texels is None else [_Batch(*(torch.cat(planes) for planes in zip(*batches, strict=True)))]
@@ -154,15 +120,30 @@ class Examiner:
         return met
 
 
-def _sums(predicted: Tensor, batch: _Batch) -> Tensor:
-    """Return squared error, energy, squared error on a display, and count [4], as `metrics` defines them."""
+def _sums(predicted: Tensor, batch: _Batch, bound: float | None) -> Tensor:
+    """Return sums over a batch [7], as `metrics` defines them, and those over highlights.
+
+    Squared error, energy, squared error on a display and of logarithms, count; squared error and energy where images or
+    prediction reach `bound`: what shines where nothing should is as wrong as what does not.
+    """
     predicted = predicted.to(batch.target.dtype)
     predicted = torch.where(batch.clipped, torch.minimum(predicted, batch.target), predicted)
-    gaps = predicted - batch.target, batch.target, display(predicted) - batch.shown
-    zero = torch.zeros(())
+    gap, zero = predicted - batch.target, torch.zeros(())
+    logarithms = log_encode(predicted) - log_encode(batch.target)
+    parts = [gap, batch.target, display(predicted) - batch.shown, logarithms]
+    valid = [batch.valid] * 4
+    if bound is not None:
+        valid += [batch.valid & (torch.maximum(predicted, batch.target) >= bound), batch.valid & (batch.target >= bound)]
+        parts += [gap, batch.target]
     with one_thread():
-        found = [torch.where(batch.valid, gap, zero).square().sum(dtype=torch.float64) for gap in gaps]
-        return torch.stack([*found, batch.valid.sum(dtype=torch.float64)])
+        found = [_total(torch.where(seen, part, zero).square(), batch) for part, seen in zip(parts, valid, strict=True)]
+        found += [torch.zeros((), dtype=torch.float64)] * (6 - len(found))
+        return torch.stack([*found[:4], _total(batch.valid, batch), *found[4:]])
+
+
+def _total(values: Tensor, batch: _Batch) -> Tensor:
+    """Return the sum of values [k, 3, H, W], each sample's as often as it counts."""
+    return (values.sum(dim=(1, 2, 3), dtype=torch.float64) * batch.weight[:, 0, 0, 0]).sum()
 
 
 def _texels_of(material: Material, texels: Tensor) -> Material:

@@ -18,8 +18,11 @@ def named(rung: Rung, height: Tensor | None) -> str:
 
 
 def all_rungs() -> list[Rung]:
-    """Return the rungs of all registered models, from few bytes to many; what two of them share is fitted once."""
-    return sorted((rung for recipe in RECIPES.values() for rung in recipe.rungs), key=lambda rung: rung.bytes)
+    """Return the rungs of all registered models, from few bytes to many, those last that take seconds.
+
+    What two of them share is fitted once.
+    """
+    return sorted((rung for recipe in RECIPES.values() for rung in recipe.rungs), key=lambda rung: (rung.late, rung.bytes))
 
 
 def built_by_parts() -> list[Recipe]:

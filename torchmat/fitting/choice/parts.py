@@ -85,9 +85,9 @@ class PartsClimb:
         return self.climb.tried_shortly(rung, fitted, self.height, start, before, by, fewer)
 
     def whole(self, rung: Rung) -> Fitted:
-        """Return the whole fit of a rung, on a relief with the height moving."""
+        """Return the whole fit of a rung, on a relief with the height moving unless it was given."""
         if self.height is not None:
-            return fit_rung(self.climb.part, rung, self.height)
+            return fit_rung(self.climb.part, rung, self.height, self.climb.given)
         return self._fitted(rung)
 
     def _fitted(self, rung: Rung) -> Fitted:

@@ -116,7 +116,7 @@ class _Shrinking:
     def told(self, step: Step) -> dict[str, Any]:
         """Return a step as the report has it: bytes and cost of the material with that map alone stored so."""
         size = self.bytes - step.saved
-        return {"map": step.map, "stored": step.name, "bytes": size, "cost": self.cost + step.added}
+        return {"map": step.map, "stored": step.name, "bytes": size, "cost": self.cost + step.added, "alone": step.alone}
 
     def deep_steps(self, as_it_is: Cost | None) -> list[Step]:
         """Return the steps to 16 bits, if 8 lose anything worth speaking of."""

@@ -67,16 +67,20 @@ def scaled_starts(lobe: Lobe, values: Tensor) -> Tensor:
     return torch.where(_colours(lobe), starts * scale, starts)
 
 
-def by_differences(residual: Callable[[Tensor], Tensor]) -> Callable[[Tensor], Tensor]:
-    """Return the function that gives d residual / d parameters, [problem, R, P], by central differences, all at once.
+def by_differences(residual: Callable[[Tensor], Tensor], own_data: bool = False) -> Callable[[Tensor], Tensor]:
+    """Return the function that gives d residual / d parameters, [problem, R, P], by central differences.
 
-    In float64 they leave nine digits, more than a step needs. Loading torch's forward differentiation takes a second,
+    All parameters at once, or one after the other where each problem has its `own_data`. In float64 they leave nine digits, more than a step needs. Loading torch's forward differentiation takes a second,
     which is longer than such a fit.
     """
 
     def jacobian(parameters: Tensor) -> Tensor:
         problems, count = parameters.shape
         step = _STEP * parameters.abs().clamp(min=_STEP_AROUND)
+        if own_data:
+            moves = torch.eye(count, dtype=parameters.dtype)[:, None] * step
+            columns = [(residual(parameters + move) - residual(parameters - move)) for move in moves]
+            return torch.stack([gap / (2 * wide[:, None]) for gap, wide in zip(columns, step.T, strict=True)], dim=-1)
         moves = (torch.eye(count, dtype=parameters.dtype)[:, None] * step).flatten(0, 1)
         moved = torch.cat((parameters.repeat(count, 1) + moves, parameters.repeat(count, 1) - moves))
         ahead, behind = residual(moved).unflatten(0, (2, count, problems)).unbind(0)

@@ -163,7 +163,7 @@ def _fit_lobe(
     used = training.used
     light, view, values = training.light[used].double(), training.view[used].double(), means[used]
     importance = None if training.importance is None else training.importance[used]
-    found = {"mean_brdf": fit_lobe(lobe, light, view, values, importance=importance, solver=solver)}
+    found = {"mean_brdf": fit_lobe(lobe, light, view, values, differences=True, importance=importance, solver=solver)}
     if importance is not None and phong == "mean_brdf":
         return found
     per_light = _per_light(lobe, training, light, view, values, found["mean_brdf"][0], solver)
@@ -183,7 +183,8 @@ def _per_light(
     index = torch.stack([torch.cat((part, part[:1].expand(longest - len(part)))) for part in rows])
     weight = torch.stack([(torch.arange(longest) < len(part)).double() for part in rows])[:, :, None]
     problem = LobeProblem(lobe, light[index], view[index], values[index], weight)
-    solution = problem.solve(start[None].repeat(len(rows), 1), **limits_of(solver, steps=40, tolerance=1e-6))
+    way = {"jacobian": by_differences(problem.residual, own_data=True)} if lobe.jacobian is None else {}
+    solution = problem.solve(start[None].repeat(len(rows), 1), **way, **limits_of(solver, steps=40, tolerance=1e-6))
     return _average(lobe, solution.parameters), _overall(solution)
 
 
@@ -202,6 +203,7 @@ def _overall(solution: Solution) -> str:
     return others[0] if others else CONVERGED
 
 
+_BRUSHED = {"residual": "cosine", "base": "ashikhmin_shirley"}
 PHONG_SRF = Recipe(
     PhongSrf, fit_phong_srf, bytes_per_texel="18", solvers=("lm", "varpro"), solvers_differ=True,
     compared=("", "residual=half_light", "residual=quadratic", "base=ashikhmin_shirley"), rungs=(
@@ -209,5 +211,8 @@ PHONG_SRF = Recipe(
         Rung("Phong + texture", "phong_srf", 3, {"residual": "cosine"}),
         Rung("Phong + residual of the half vector", "phong_srf", 9, {"residual": "half"}),
         Rung("Phong + residual of half vector and light", "phong_srf", 21, {"residual": "half_light"}),
+        # Its lobe grows towards grazing, as that of a lacquer does.
+        Rung("Ashikhmin-Shirley", "phong_srf", 0, _BRUSHED, {"residual": StoredAs((1, 1))}, late=True),
+        Rung("Ashikhmin-Shirley + texture", "phong_srf", 3, _BRUSHED, late=True),
     ),
 )

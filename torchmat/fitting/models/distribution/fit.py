@@ -79,7 +79,7 @@ def fit_distribution(
 
 
 def fit_distribution_on_relief(surface: Surface, height: Tensor, **options: Any) -> Fitted:
-    """Fit the distribution material over a relief, and refine its height along the way."""
+    """Fit the distribution material over a relief, and refine its height along the way unless that was given."""
     return _Fit(surface, height, DistributionOptions(**options)).run()
 
 
@@ -106,8 +106,7 @@ class _Fit:
         parts, pilots = self._choose(starts)
         with working("taking the first steps", self.surface.training.progress):
             raw = self._begin(starts, parts)
-        # A part of the texels does not say where the height of the whole wants to go.
-        moves = self.height is not None and self.surface.window is None
+        moves = self.height is not None and self.surface.moves
         found = self._rounds(raw, parts, _ROUNDS if moves else (sum(_ROUNDS),))
         figures = {"parts": parts.names, "lobes": parts.lobes, "pilots": pilots, "solver_steps": found.steps}
         shared = self._shared(raw, parts, starts)

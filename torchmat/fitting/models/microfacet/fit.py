@@ -219,7 +219,7 @@ class _Fit:
     def _whole(self, material: Microfacet) -> Fitted:
         """Descend on all samples, moving the height between rounds."""
         shared = [spec.name for spec in material.own_specs() if spec.constant]
-        moves = self.height is not None and self.surface.window is None
+        moves = self.height is not None and self.surface.moves
         kept = ([] if moves else ["height"]) + (shared if self.training.shared is not None else [])
         usual = _STEPS * self.effort
         wanted: dict[str, Any] = {"steps": self.solver.steps or max(1, round(max(_LAST * usual, usual - self.taken)))}
