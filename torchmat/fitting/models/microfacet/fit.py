@@ -24,6 +24,7 @@ from torchmat.geometry import normals_from_slopes, slopes_from_normals
 from torchmat.models.microfacet import MICROFACET_PARTS, Microfacet, microfacet_specs
 from torchmat.models.storage import STORAGES
 from torchmat.progress import progress
+from torchmat.repeatable import one_thread
 from torchmat.solvers import Minibatch, Stepping
 
 Choice = bool | Literal["auto"]
@@ -62,7 +63,9 @@ def fit_microfacet(
     """
     asked = {"anisotropy": anisotropy, "f90": f90, "coat": coat, "sheen": sheen, "rolloff": rolloff, "layered": layered}
     flat = torch.zeros(1, training.btf.height, training.btf.width, dtype=training.dtype)
-    return _Fit(bring_onto(training, flat), None, asked, normal, effort, solver, storage, objective).run()
+    surface = bring_onto(training, flat)
+    with one_thread():  # numbers that all texels share sum their gradients over all of them
+        return _Fit(surface, None, asked, normal, effort, solver, storage, objective).run()
 
 
 def fit_microfacet_on_relief(
@@ -71,7 +74,8 @@ def fit_microfacet_on_relief(
 ) -> Fitted:
     """Fit the microfacet material over a relief, and refine its height along the way."""
     wanted = {name: asked.get(name, "auto") for name in OPTIONAL}
-    return _Fit(surface, height, wanted, normal, effort, solver, storage, objective).run()
+    with one_thread():
+        return _Fit(surface, height, wanted, normal, effort, solver, storage, objective).run()
 
 
 @dataclass
