@@ -18,7 +18,8 @@ from torchmat.fitting.models.distribution import fit as fitting
 
 LIGHT, VIEW = all_pairs(hemisphere(((20, 1), (40, 4), (65, 4))), hemisphere(((0, 1), (30, 4), (60, 4))))
 SIZE, TABLE = 6, 16
-ONE_LOBE = {"lobes": 1, "fresnel": False, "rotation": False, "specular_size": TABLE, "storage": "float"}
+# The oracle's images are made by the formula as printed.
+ONE_LOBE = {"lobes": 1, "fresnel": False, "rotation": False, "specular_size": TABLE, "storage": "float", "denominator": "ashikhmin"}
 TURNED = {**ONE_LOBE, "rotation": True}
 QUICK = {**ONE_LOBE, "effort": 0.02}
 
@@ -162,7 +163,7 @@ def test_too_few_samples_to_choose_by_take_the_plain_material():
     few = btf_of(scene("isotropic")[1][:15], light=LIGHT[:15], view=VIEW[:15])
     options = {"specular_size": 8, "effort": 0.01, "holdout": 0, "measure": False}
     result = tm.fit(few, "distribution", geometry="flat", **options)
-    assert result.report["figures"]["pilots"] == [] and result.material.options["parts"] == ["normal", "specular_mask"]
+    assert result.report["figures"]["pilots"] == [] and result.material.options["parts"] == ["normal", "specular_mask", "masking"]
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
