@@ -23,6 +23,7 @@ _SEEN = 400  # samples that say which fits
 _VALUES = 400_000
 _TOGETHER = 0.5  # what the error of all texels counts beside a texel's own: few samples do not tell how rough one is
 _GRAZING = 1e-4
+_UNSEEN, _FEW = 0.05, 0.4  # of a lobe's share: F0 that only smaller ones speak of, or one sample, is drawn to 0
 
 
 @dataclass(frozen=True)
@@ -78,6 +79,7 @@ def _sums(surface: Surface, level: float, frame: Tensor, ambient: Tensor, pairs:
     squares = torch.zeros(count, *size, dtype=dtype)
     alphas, grazing = squared_alpha(pairs)[:, :, None, None], min(1.0, 50 * level)  # of dim data F90 is less too
     rows = torch.linspace(0, len(btf) - 1, min(_SEEN, len(btf))).round().long()
+    unseen = _UNSEEN**2 + _FEW**2 / len(rows)
     for some in rows.split(max(1, _VALUES // (3 * btf.height * btf.width))):
         values, weight = surface.values(some)
         light, view = (d[some][:, :, None, None].to(dtype) for d in (btf.light, btf.view))
@@ -91,7 +93,8 @@ def _sums(surface: Surface, level: float, frame: Tensor, ambient: Tensor, pairs:
         for number in range(count):
             share = lit * ggx_share(light, view, half, alphas[number], _GRAZING)
             second, left = share * (1 - rise), values - ambient - share * (grazing * rise)
-            columns[number] += (weight * torch.cat((first * first, first * second, second * second), dim=1)).sum(dim=0)
+            seen = second * second + unseen  # a lobe that is hardly looked into says nothing of its height
+            columns[number] += (weight * torch.cat((first * first, first * second, seen), dim=1)).sum(dim=0)
             products[0, number] += (weight * first * left).sum(dim=0)
             products[1, number] += (weight * second * left).sum(dim=0)
             squares[number] += (weight * left * left).sum(dim=(0, 1))
