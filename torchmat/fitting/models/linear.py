@@ -52,23 +52,23 @@ def fit_texture(training: Training, *, storage: str = "half") -> Fitted:
     return Fitted(Texture({"albedo": albedo}, storage=storage), coverage=solved.coverage)
 
 
-def fit_ptm(training: Training, *, space: str = SRGB, storage: str = "half") -> Fitted:
+def fit_ptm(training: Training, *, space: str = LINEAR, storage: str = "half") -> Fitted:
     """Least-squares biquadratic per texel and channel.
 
     Args:
-        space: "srgb" fits the codes of a screen, as RTI tools do, "linear" the light itself.
+        space: "linear" fits the light itself, "srgb" the codes of a screen, as RTI tools do: nearer to what is seen, further in highlights.
     """
     _, _, solved = _solve(training, "polynomial", space)
     maps = {"polynomial": solved.coefficients.flatten(0, 1)}
     return Fitted(Ptm(maps, space=space, storage=storage), coverage=solved.coverage)
 
 
-def fit_hsh(training: Training, *, terms: int = 9, space: str = SRGB, storage: str = "half") -> Fitted:
+def fit_hsh(training: Training, *, terms: int = 9, space: str = LINEAR, storage: str = "half") -> Fitted:
     """Least-squares hemispherical harmonics per texel and channel.
 
     Args:
         terms: harmonics per texel and channel, 4, 9 or 16: more follow sharper shading and need more lights.
-        space: "srgb" fits the codes of a screen, as RTI tools do, "linear" the light itself.
+        space: "linear" fits the light itself, "srgb" the codes of a screen, as RTI tools do: nearer to what is seen, further in highlights.
     """
     check_option("fit hsh", "terms", terms, HSH_TERMS)
     _, _, solved = _solve(training, f"hsh{terms}", space)
@@ -76,13 +76,13 @@ def fit_hsh(training: Training, *, terms: int = 9, space: str = SRGB, storage: s
     return Fitted(Hsh(maps, terms=terms, space=space, storage=storage), coverage=solved.coverage)
 
 
-def fit_lptm(training: Training, *, space: str = SRGB, storage: str = "half") -> Fitted:
+def fit_lptm(training: Training, *, space: str = LINEAR, storage: str = "half") -> Fitted:
     """Biquadratic of luminance per texel; colour = summed colour over summed luminance (Malzbender et al. 2001).
 
     The sum over samples is the product with the design's constant column, so one pass gives both.
 
     Args:
-        space: "srgb" fits the codes of a screen, as RTI tools do, "linear" the light itself.
+        space: "linear" fits the light itself, "srgb" the codes of a screen, as RTI tools do: nearer to what is seen, further in highlights.
     """
     design, moments, solved = _solve(training, "polynomial", space)
     luminance = colour.luminance(solved.coefficients, dim=1)
