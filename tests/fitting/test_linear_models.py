@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pytest
 import torch
+from tests.reference.colour import decode
 from tests.support import all_pairs, assert_close, hemisphere
 
 import torchmat as tm
@@ -62,11 +63,12 @@ def fitted(images, model, dtype, weight=None, **options):
 
 
 LINEAR = {
-    "ptm": (lambda light: biquadratic(light), "polynomial", {}),
-    "hsh4": (lambda light: harmonics(light, 2), "harmonic", {"terms": 4}),
-    "hsh9": (lambda light: harmonics(light, 3), "harmonic", {"terms": 9}),
-    "hsh16": (lambda light: harmonics(light, 4), "harmonic", {"terms": 16}),
+    "ptm": (lambda light: biquadratic(light), "polynomial", {"space": "linear"}),
+    "hsh4": (lambda light: harmonics(light, 2), "harmonic", {"terms": 4, "space": "linear"}),
+    "hsh9": (lambda light: harmonics(light, 3), "harmonic", {"terms": 9, "space": "linear"}),
+    "hsh16": (lambda light: harmonics(light, 4), "harmonic", {"terms": 16, "space": "linear"}),
 }
+decoded = np.vectorize(decode)
 
 
 @pytest.mark.parametrize("masked", [False, True], ids=["whole", "masked"])
@@ -80,6 +82,38 @@ def test_linear_models_recover_their_coefficients(name, masked, dtype):
     material = fitted(images, name.rstrip("0123456789"), dtype, weight, **options)
     found = material.maps[map_name].detach().unflatten(0, (-1, 3))
     assert_close(found, torch.from_numpy(truth), BOUND[dtype])
+
+
+@pytest.mark.parametrize("name", LINEAR)
+def test_coefficients_in_codes_are_recovered_above_white_too(name, dtype):
+    matrix_of, map_name, options = LINEAR[name]
+    matrix = matrix_of(LIGHT)
+    truth = uniform(matrix.shape[1], 3, HEIGHT, WIDTH, low=-0.02, high=0.02)
+    truth[5 if name == "ptm" else 0] += 1.0 if name == "ptm" else 2.5  # codes stay positive over the hemisphere; some are above 1
+    codes = np.einsum("nk,kchw->nchw", matrix, truth)
+    assert codes.min() > 0 and codes.max() > 1
+    material = fitted(decoded(codes), name.rstrip("0123456789"), dtype, **{**options, "space": "srgb"})
+    assert material.options["space"] == "srgb"
+    assert_close(material.maps[map_name].detach().unflatten(0, (-1, 3)), torch.from_numpy(truth), 5 * BOUND[dtype])
+
+
+def test_lptm_recovers_its_codes(dtype):
+    luminance = uniform(6, HEIGHT, WIDTH, low=-0.05, high=0.05)
+    luminance[5] = 0.6
+    chroma = uniform(3, HEIGHT, WIDTH, low=0.5, high=1.5, seed=3)
+    chroma /= np.tensordot((0.2126, 0.7152, 0.0722), chroma, 1)
+    codes = np.einsum("nk,khw->nhw", biquadratic(LIGHT), luminance)[:, None] * chroma
+    material = fitted(decoded(codes), "lptm", dtype, space="srgb")
+    assert_close(material.maps["chroma"].detach(), torch.from_numpy(chroma), BOUND[dtype])
+    assert_close(material.maps["luminance"].detach(), torch.from_numpy(luminance), BOUND[dtype])
+
+
+@pytest.mark.parametrize("model", ["ptm", "lptm", "hsh"])
+def test_light_is_the_default_and_other_spaces_are_refused(model):
+    images = uniform(len(LIGHT), 3, HEIGHT, WIDTH, low=0, high=1)
+    assert fitted(images, model, torch.float32).options["space"] == "linear"
+    with pytest.raises(tm.RangeError, match="space.*be one of 'linear', 'srgb'; it is 'gamma'"):
+        fitted(images, model, torch.float32, space="gamma")
 
 
 def test_texture_recovers_its_colours(dtype):
@@ -123,7 +157,7 @@ def test_lptm_recovers_colour_and_luminance(dtype):
     chroma = uniform(3, HEIGHT, WIDTH, low=0.5, high=1.5, seed=3)
     chroma /= np.tensordot((0.2126, 0.7152, 0.0722), chroma, 1)
     images = np.einsum("nk,khw->nhw", biquadratic(LIGHT), luminance)[:, None] * chroma
-    material = fitted(images, "lptm", dtype)
+    material = fitted(images, "lptm", dtype, space="linear")
     assert_close(material.maps["chroma"].detach(), torch.from_numpy(chroma), BOUND[dtype])
     assert_close(material.maps["luminance"].detach(), torch.from_numpy(luminance), BOUND[dtype])
 
@@ -147,7 +181,7 @@ def test_noise_is_averaged_as_statistics_say(name):
 def test_more_harmonics_than_lights_give_the_minimum_norm():
     light, view = all_pairs(hemisphere(((10, 1), (45, 5))), hemisphere(((0, 1),)))
     images = uniform(len(light), 3, HEIGHT, WIDTH)
-    result = tm.fit(btf_of(images, torch.float64, light=light, view=view), "hsh", holdout=0, dtype=torch.float64)
+    result = tm.fit(btf_of(images, torch.float64, light=light, view=view), "hsh", holdout=0, dtype=torch.float64, space="linear")
     expected = np.linalg.pinv(harmonics(light, 3)) @ images.reshape(len(light), -1)
     found = result.material.maps["harmonic"].detach()
     assert_close(found, torch.from_numpy(expected.reshape(27, HEIGHT, WIDTH)), 1e-6)

@@ -19,9 +19,9 @@ from torchmat.models.storage import MapSpec
 EXAMPLE_OPTIONS: dict[str, list[dict]] = {
     "texture": [{}],
     "lambert": [{}],
-    "ptm": [{}],
-    "lptm": [{}],
-    "hsh": [{"terms": 4}, {"terms": 9}, {"terms": 16}],
+    "ptm": [{}, {"space": "srgb"}],
+    "lptm": [{}, {"space": "srgb"}],
+    "hsh": [{"terms": 4}, {"terms": 9, "space": "srgb"}, {"terms": 16}],
     "phong_srf": [
         {"residual": residual, "base": base}
         for residual in ("half", "half_light", "quadratic") for base in ("phong", "ashikhmin_shirley")

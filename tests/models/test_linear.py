@@ -52,6 +52,20 @@ def test_a_zero_normal_is_dark_with_finite_gradients():
     assert bool(torch.isfinite(material.maps["normal"].grad).all())
 
 
+@pytest.mark.parametrize(("code", "light"), [(-0.5, 0.0), (0.0, 0.0), (0.02, 0.02 / 12.92), (1.0, 1.0), (2.0, (2.055 / 1.055) ** 2.4)])
+def test_sums_in_codes_are_decoded_and_black_below_zero(code, light):
+    coefficients = torch.zeros(18, 1, 1, dtype=torch.float64)
+    coefficients[15:] = code  # the constant term
+    material = Ptm({"polynomial": coefficients}, space="srgb")
+    assert_same(material.shade(_direction(LIGHT), POLE), _map(light, light, light))
+    material.shade(_direction(LIGHT), POLE).sum().backward()
+    assert bool(torch.isfinite(material.maps["polynomial"].grad).all())
+
+
+def test_a_material_that_says_no_space_is_linear():
+    assert Ptm({"polynomial": torch.zeros(18, 1, 1)}).options["space"] == "linear"
+
+
 def test_ptm():
     coefficients = torch.zeros(18, 1, 1, dtype=torch.float64)
     for term, number in enumerate((1.0, 2.0, 3.0, 4.0, 5.0, 6.0)):
@@ -79,7 +93,7 @@ def test_hsh(terms):
 
 def test_hsh_terms():
     maps = make_maps("hsh", {"terms": 9})
-    assert Hsh(maps).options == {"terms": 9}
+    assert Hsh(maps).options == {"terms": 9, "space": "linear"}
     with pytest.raises(RangeError, match="terms must be one of 4, 9, 16; it is 5"):
         Hsh(maps, terms=5)
     assert_same(Hsh(maps, terms=9.0).shade(POLE, POLE), Hsh(maps).shade(POLE, POLE))

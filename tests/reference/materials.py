@@ -5,6 +5,7 @@ import math
 import numpy as np
 from tests.reference import brdf as reference_brdf
 from tests.reference.bases import BASES, half_vector
+from tests.reference.colour import decode
 from tests.reference.interpolate import plane_value
 from tests.reference.lobes import LOBES
 
@@ -25,17 +26,23 @@ def _lambert(maps, options, light, view, row, column):
     return [a * max(0.0, n_dot_l) for a in maps["albedo"][:, row, column]]
 
 
+def _in_space(options, values):
+    """Return sums as linear light: a code below 0 is black, and above 1 the curve goes on."""
+    return [decode(max(0.0, value)) for value in values] if options.get("space") == "srgb" else values
+
+
 def _ptm(maps, options, light, view, row, column):
-    return _weighted(BASES["polynomial"](light, view), maps["polynomial"][:, row, column])
+    return _in_space(options, _weighted(BASES["polynomial"](light, view), maps["polynomial"][:, row, column]))
 
 
 def _lptm(maps, options, light, view, row, column):
     luminance = sum(t * a for t, a in zip(BASES["polynomial"](light, view), maps["luminance"][:, row, column], strict=True))
-    return [luminance * c for c in maps["chroma"][:, row, column]]
+    return _in_space(options, [luminance * c for c in maps["chroma"][:, row, column]])
 
 
 def _hsh(maps, options, light, view, row, column):
-    return _weighted(BASES[f"hsh{options.get('terms', 9)}"](light, view), maps["harmonic"][:, row, column])
+    terms = BASES[f"hsh{options.get('terms', 9)}"](light, view)
+    return _in_space(options, _weighted(terms, maps["harmonic"][:, row, column]))
 
 
 def _phong_srf(maps, options, light, view, row, column):

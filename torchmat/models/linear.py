@@ -2,6 +2,9 @@
 
 `texture`, `lambert`, and the models of reflectance transformation imaging: `ptm` and `lptm` (Malzbender et al. 2001)
 and `hsh` (Gautron et al. 2004, the hemispherical harmonics that RTI tools use). None of them sees the view.
+
+The three of RTI have a `space` in which their sums lie: "linear" light, or "srgb", the codes of a screen, where RTI tools keep
+their coefficients. A sum of codes is nearer to photographs at the same bytes, for errors weigh there as they do to the eye.
 """
 
 from __future__ import annotations
@@ -12,6 +15,7 @@ from typing import Any
 from torch import Tensor
 
 from torchmat import safe
+from torchmat.colour import srgb_to_linear
 from torchmat.errors import ShapeError, check_option, message
 from torchmat.geometry import normals_from_slopes, slopes_from_height
 from torchmat.models.base import Material, combine
@@ -20,6 +24,7 @@ from torchmat.models.storage import MapSpec
 
 HSH_TERMS = (4, 9, 16)
 NORMALS = ("map", "height")
+LINEAR, SRGB = SPACES = ("linear", "srgb")
 
 
 class Texture(Material):
@@ -67,43 +72,62 @@ class Lambert(Material):
         return self.maps["albedo"] * n_dot_l.clamp(min=0)
 
 
-class Ptm(Material):
+class Relightable(Material):
+    """A model of reflectance transformation imaging: a sum over functions of the light, in a `space` of its own.
+
+    `space` is "linear", or "srgb": the sum is a code, of which 1 is white; below 0 it is black, and above 1 the curve goes on,
+    for measured values may.
+    """
+
+    bright_at_horizon = True
+
+    def __init__(self, maps: Mapping[str, Tensor], *, space: str = LINEAR, **settings: Any) -> None:
+        check_option(self.name, "space", space, SPACES)
+        super().__init__(maps, space=space, **settings)
+
+    def _decoded(self, total: Tensor) -> Tensor:
+        return total if self.options["space"] == LINEAR else srgb_to_linear(total.clamp(min=0))
+
+    @property
+    def _is_linear(self) -> bool:
+        return self.options["space"] == LINEAR
+
+
+class Ptm(Relightable):
     """Polynomial texture map: a biquadratic of the projected light per texel and channel."""
 
     name = "ptm"
-    bright_at_horizon = True
 
     def own_specs(self) -> tuple[MapSpec, ...]:
-        return (MapSpec("polynomial", "coefficient per term, RGB", layers=BASES["polynomial"].terms, linear=True),)
+        terms = BASES["polynomial"].terms
+        return (MapSpec("polynomial", "coefficient per term, RGB", layers=terms, linear=self._is_linear),)
 
     def value(self, light: Tensor, view: Tensor) -> Tensor:
         weights = BASES["polynomial"].evaluate(light, view)
-        return combine(weights, self.maps["polynomial"].unflatten(0, (-1, 3)))
+        return self._decoded(combine(weights, self.maps["polynomial"].unflatten(0, (-1, 3))))
 
 
-class Lptm(Material):
+class Lptm(Relightable):
     """Luminance PTM: one biquadratic of luminance per texel, times a colour per texel."""
 
     name = "lptm"
-    bright_at_horizon = True
 
     def own_specs(self) -> tuple[MapSpec, ...]:
         terms = BASES["polynomial"].terms
         return (
-            MapSpec("chroma", "colour per unit of luminance", low=0.0, colour=True, linear=True),
-            MapSpec("luminance", "coefficient per term", layers=terms, layer_channels=1, linear=True),
+            MapSpec("chroma", "colour per unit of luminance", low=0.0, colour=True, linear=self._is_linear),
+            MapSpec("luminance", "coefficient per term", layers=terms, layer_channels=1, linear=self._is_linear),
         )
 
     def value(self, light: Tensor, view: Tensor) -> Tensor:
         weights = BASES["polynomial"].evaluate(light, view)
-        return combine(weights, self.maps["luminance"][:, None]) * self.maps["chroma"]
+        return self._decoded(combine(weights, self.maps["luminance"][:, None]) * self.maps["chroma"])
 
 
-class Hsh(Material):
+class Hsh(Relightable):
     """Hemispherical harmonics of the light: 4, 9 or 16 `terms` per texel and channel."""
 
     name = "hsh"
-    bright_at_horizon = True
 
     def __init__(self, maps: Mapping[str, Tensor], *, terms: int = 9, **settings: Any) -> None:
         check_option(self.name, "terms", terms, HSH_TERMS)
@@ -111,7 +135,7 @@ class Hsh(Material):
         super().__init__(maps, terms=terms, **settings)
 
     def own_specs(self) -> tuple[MapSpec, ...]:
-        return (MapSpec("harmonic", "coefficient per term, RGB", layers=self._basis.terms, linear=True),)
+        return (MapSpec("harmonic", "coefficient per term, RGB", layers=self._basis.terms, linear=self._is_linear),)
 
     def value(self, light: Tensor, view: Tensor) -> Tensor:
-        return combine(self._basis.evaluate(light, view), self.maps["harmonic"].unflatten(0, (-1, 3)))
+        return self._decoded(combine(self._basis.evaluate(light, view), self.maps["harmonic"].unflatten(0, (-1, 3))))

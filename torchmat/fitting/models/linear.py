@@ -17,7 +17,7 @@ from torchmat.fitting.training import Fitted, Training
 from torchmat.geometry import normals_from_slopes
 from torchmat.models import Hsh, Lambert, Lptm, Ptm, Texture
 from torchmat.models.bases import BASES
-from torchmat.models.linear import HSH_TERMS, NORMALS
+from torchmat.models.linear import HSH_TERMS, LINEAR, NORMALS, SPACES, SRGB
 from torchmat.models.storage import StoredAs
 from torchmat.repeatable import one_thread, product
 from torchmat.solvers.least_squares import Design, make_design
@@ -32,9 +32,16 @@ def design_of(training: Training, basis: str, ridge: float = 0.0) -> Design:
     return make_design(matrix, training.used, ridge, training.importance)
 
 
-def _solve(training: Training, basis: str) -> tuple[Design, Moments, LinearFit]:
+def _encoded(images: Tensor) -> Tensor:
+    """Return linear images as the codes of a screen, of which 1 is white and which go on above it."""
+    return colour.linear_to_srgb(images.clamp(min=0))  # no light is less than none, but a relief's indirect light is taken off
+
+
+def _solve(training: Training, basis: str, space: str = LINEAR) -> tuple[Design, Moments, LinearFit]:
+    check_option(f"fit to {basis}", "space", space, SPACES)
     design = design_of(training, basis)
-    moments = stream_moments(training.btf, design, training.used, training.dtype, training.progress)
+    encode = _encoded if space == SRGB else None
+    moments = stream_moments(training.btf, design, training.used, training.dtype, training.progress, encode)
     return design, moments, solve_texels(training.btf, design, moments, training.used)
 
 
@@ -45,30 +52,39 @@ def fit_texture(training: Training, *, storage: str = "half") -> Fitted:
     return Fitted(Texture({"albedo": albedo}, storage=storage), coverage=solved.coverage)
 
 
-def fit_ptm(training: Training, *, storage: str = "half") -> Fitted:
-    """Least-squares biquadratic per texel and channel."""
-    _, _, solved = _solve(training, "polynomial")
-    return Fitted(Ptm({"polynomial": solved.coefficients.flatten(0, 1)}, storage=storage), coverage=solved.coverage)
+def fit_ptm(training: Training, *, space: str = LINEAR, storage: str = "half") -> Fitted:
+    """Least-squares biquadratic per texel and channel.
+
+    Args:
+        space: "linear" fits the light itself, "srgb" the codes of a screen, as RTI tools do: nearer to what is seen, further in highlights.
+    """
+    _, _, solved = _solve(training, "polynomial", space)
+    maps = {"polynomial": solved.coefficients.flatten(0, 1)}
+    return Fitted(Ptm(maps, space=space, storage=storage), coverage=solved.coverage)
 
 
-def fit_hsh(training: Training, *, terms: int = 9, storage: str = "half") -> Fitted:
+def fit_hsh(training: Training, *, terms: int = 9, space: str = LINEAR, storage: str = "half") -> Fitted:
     """Least-squares hemispherical harmonics per texel and channel.
 
     Args:
         terms: harmonics per texel and channel, 4, 9 or 16: more follow sharper shading and need more lights.
+        space: "linear" fits the light itself, "srgb" the codes of a screen, as RTI tools do: nearer to what is seen, further in highlights.
     """
     check_option("fit hsh", "terms", terms, HSH_TERMS)
-    _, _, solved = _solve(training, f"hsh{terms}")
+    _, _, solved = _solve(training, f"hsh{terms}", space)
     maps = {"harmonic": solved.coefficients.flatten(0, 1)}
-    return Fitted(Hsh(maps, terms=terms, storage=storage), coverage=solved.coverage)
+    return Fitted(Hsh(maps, terms=terms, space=space, storage=storage), coverage=solved.coverage)
 
 
-def fit_lptm(training: Training, *, storage: str = "half") -> Fitted:
+def fit_lptm(training: Training, *, space: str = LINEAR, storage: str = "half") -> Fitted:
     """Biquadratic of luminance per texel; colour = summed colour over summed luminance (Malzbender et al. 2001).
 
     The sum over samples is the product with the design's constant column, so one pass gives both.
+
+    Args:
+        space: "linear" fits the light itself, "srgb" the codes of a screen, as RTI tools do: nearer to what is seen, further in highlights.
     """
-    design, moments, solved = _solve(training, "polynomial")
+    design, moments, solved = _solve(training, "polynomial", space)
     luminance = colour.luminance(solved.coefficients, dim=1)
     ones = product(design.left.T, training.used.double()[:, None])[:, 0].to(training.dtype)
     total = torch.einsum("r,rchw->chw", ones, moments.product).clamp(min=0)
@@ -76,7 +92,7 @@ def fit_lptm(training: Training, *, storage: str = "half") -> Fitted:
     grey = torch.ones_like(total)
     chroma = torch.where(brightness > 0, safe.divide(total, brightness), grey)
     maps = {"chroma": chroma, "luminance": luminance}
-    return Fitted(Lptm(maps, storage=storage), coverage=solved.coverage)
+    return Fitted(Lptm(maps, space=space, storage=storage), coverage=solved.coverage)
 
 
 def fit_lambert(training: Training, *, normals: str = "auto", storage: str = "half") -> Fitted:

@@ -6,6 +6,7 @@ of reduced weight get normal equations of their own.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import torch
@@ -27,15 +28,16 @@ class Moments:
 
 
 def stream_moments(
-    btf: Btf, design: Design, used: Tensor, dtype: torch.dtype = torch.float32, progress: bool | None = False
+    btf: Btf, design: Design, used: Tensor, dtype: torch.dtype = torch.float32, progress: bool | None = False,
+    encode: Callable[[Tensor], Tensor] | None = None,
 ) -> Moments:
-    """Make the one pass over the images of `btf` that a linear fit needs."""
+    """Make the one pass over the images of `btf` that a linear fit needs; `encode` makes of them what is fitted."""
     basis = design.left.to(dtype)
     total = torch.zeros(design.rank, 3 * btf.height * btf.width, dtype=dtype)
     means = torch.zeros(len(btf), 3, dtype=torch.float64)
     for block in btf.blocks(used, dtype, progress):
         rows = slice(block.samples.start, block.samples.stop)
-        images = block.images
+        images = block.images if encode is None else encode(block.images)
         if block.weight is None:
             means[rows] = images.mean(dim=(2, 3)).double()
         else:
