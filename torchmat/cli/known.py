@@ -15,9 +15,9 @@ CONFIG_KEYS = (
 OPTIONS: dict[str, tuple[str, ...]] = {
     "texture": ("storage", "solver", "objective"),
     "lambert": ("normals", "storage", "solver", "objective"),
-    "lptm": ("storage", "solver", "objective"),
-    "ptm": ("storage", "solver", "objective"),
-    "hsh": ("terms", "storage", "solver", "objective"),
+    "lptm": ("space", "storage", "solver", "objective"),
+    "ptm": ("space", "storage", "solver", "objective"),
+    "hsh": ("terms", "space", "storage", "solver", "objective"),
     "phong_srf": ("residual", "phong", "base", "ridge", "solver", "storage", "objective"),
     "pca": ("components", "storage", "solver", "objective"),
     "local_pca": ("clusters", "components", "storage", "solver", "objective"),
@@ -44,7 +44,9 @@ TABLES: dict[str, tuple[str, ...]] = {
 }
 CHOICES: dict[str, dict[str, tuple[object, ...]]] = {
     "lambert": {"normals": ("auto", "map", "height")},
-    "hsh": {"terms": (4, 9, 16)},
+    "ptm": {"space": ("linear", "srgb")},
+    "lptm": {"space": ("linear", "srgb")},
+    "hsh": {"terms": (4, 9, 16), "space": ("linear", "srgb")},
     "phong_srf": {
         "residual": ("half", "half_light", "quadratic", "cosine"), "phong": ("mean_brdf", "per_light"),
         "base": ("phong", "ashikhmin_shirley"),
