@@ -10,7 +10,8 @@ import sys
 Bound = tuple[str, float, float]  # what a number must do, and the least and the largest that does
 
 CONFIG_KEYS = (
-    "model", "options", "holdout", "holdout_by", "seed", "geometry", "tiles", "target", "tile_size", "memory_mb", "data",
+    "model", "options", "holdout", "holdout_by", "seed", "geometry", "relief", "finish", "tiles", "target",
+    "tile_size", "memory_mb", "data",
 )
 OPTIONS: dict[str, tuple[str, ...]] = {
     "texture": ("storage", "solver", "objective"),
@@ -36,7 +37,7 @@ OPTIONS: dict[str, tuple[str, ...]] = {
 
 
 TABLES: dict[str, tuple[str, ...]] = {
-    "target": ("error", "psnr", "bytes", "seconds"),
+    "target": ("error", "psnr", "bytes", "seconds", "highlights"),
     "data": (
         "kind", "encoding", "invalid", "duplicates", "exposure", "crop", "downscale", "lights", "views", "normalise",
         "light_table", "ball", "circle", "intensities", "mask", "skip_bad_lights", "clipped_weight",
