@@ -127,6 +127,10 @@ def half_vectors(given: Variant, room: Room) -> float:
     if "rotation" in material.maps:
         upright = torch.tensor(POLE, dtype=torch.float64)[:, None, None].expand(3, 2, 2).clone()
         flat = {"normal": upright} if "normal" in material.maps else {}
+        # Masking that differs along and across turns with the texel, whatever the half vector: here it is alike.
+        for name in ("masking", "roughness"):
+            if name in material.maps:
+                flat[name] = material.maps[name].detach().mean(dim=0, keepdim=True).expand_as(material.maps[name]).clone()
         light, view = rows_of(half_pairs()[:4])
         angles = [torch.rand(1, 2, 2, dtype=torch.float64) * 2 * math.pi for _ in range(2)]
         one, other = (

@@ -140,7 +140,7 @@ class Distribution(Material):
     def value(self, light: Tensor, view: Tensor) -> Tensor:
         frame, normal = self._frame()
         if "masking" in self.maps and self._lobes:
-            return self._masked(*(d if frame is None else combine(d, frame) for d in (light, view)))
+            return self._masked(light, view, frame)
         n_dot_l, n_dot_v = (_dot(direction, normal).clamp(min=0) for direction in (light, view))
         if self._lobes == 0:
             return self.maps["diffuse"] * n_dot_l
@@ -150,9 +150,10 @@ class Distribution(Material):
         share = n_dot_l / torch.addcmul(a + (b + _GRAZING), a, b, value=-1)
         return torch.addcmul(self._specular(colour, share, squared), self.maps["diffuse"], n_dot_l)
 
-    def _masked(self, light: Tensor, view: Tensor) -> Tensor:
-        """Return the value for directions in the texels' turned frames, by Smith's denominator."""
-        half, squared = _half(light, view)
+    def _masked(self, light: Tensor, view: Tensor, frame: Tensor | None) -> Tensor:
+        """Return the value by Smith's denominator, of directions that are turned into the texels' frames."""
+        half, squared = _half(light, view)  # before they are turned: rounding would decide it where they are opposite
+        light, view, half = (d if frame is None else combine(d, frame) for d in (light, view, half))
         n_dot_l, denominator = smith_denominator(light, view, self.maps["masking"].square()[:, None, None])
         share = n_dot_l / (denominator + _GRAZING)
         return torch.addcmul(self._specular(self._looked_up(half), share, squared), self.maps["diffuse"], n_dot_l)

@@ -62,7 +62,11 @@ def ggx_share(light: Tensor, view: Tensor, half: Tensor, squares: Tensor, grazin
         squares: the squares of alpha along and across, [2, h, w]; one channel stands for both.
         grazing: what is added to the denominator, so that it goes to 0 at grazing on any way.
     """
-    n_dot_l, denominator = smith_denominator(light, view, squares)
+    cosines = [direction[..., 2:3, :, :] for direction in (light, view)]
+    n_dot_l, n_dot_v = (cosine.clamp(min=0) for cosine in cosines)
+    # A direction below the horizon is masked as one as far above it.
+    lengths = [_stretched(direction, cosine, squares) for direction, cosine in zip((light, view), cosines, strict=True)]
+    denominator = torch.addcmul(n_dot_l * lengths[1], n_dot_v, lengths[0])
     x, y, z = half[..., 0:1, :, :], half[..., 1:2, :, :], half[..., 2:3, :, :]
     slope = z * z + x * x / squares[:1] + y * y / squares[-1:]
     area = squares if len(squares) == 1 else torch.sqrt(squares[:1] * squares[1:])
