@@ -12,10 +12,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+import torch
 from torch import Tensor
 
 from torchmat import safe
-from torchmat.colour import srgb_to_linear
 from torchmat.errors import ShapeError, check_option, message
 from torchmat.geometry import normals_from_slopes, slopes_from_height
 from torchmat.models.base import Material, combine
@@ -86,11 +86,17 @@ class Relightable(Material):
         super().__init__(maps, space=space, **settings)
 
     def _decoded(self, total: Tensor) -> Tensor:
-        return total if self.options["space"] == LINEAR else srgb_to_linear(total.clamp(min=0))
+        return total if self.options["space"] == LINEAR else _from_codes(total.clamp(min=0))
 
     @property
     def _is_linear(self) -> bool:
         return self.options["space"] == LINEAR
+
+
+def _from_codes(code: Tensor) -> Tensor:
+    """Return linear light of codes from 0 on (IEC 61966-2-1): as `colour` does, but with the same bits on any number of threads."""
+    curve = safe.power((code + 0.055) / 1.055, torch.tensor(2.4, dtype=code.dtype))
+    return torch.where(code > 0.04045, curve, code / 12.92)
 
 
 class Ptm(Relightable):
