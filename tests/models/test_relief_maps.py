@@ -64,9 +64,9 @@ def arrays(material) -> dict:
 
 
 def surface_arrays(material) -> dict:
-    """Return the maps of what one texel does; a distribution's normals are its height's, refined: slopes add up."""
+    """Return the maps of what one texel does; normals of lobes are those of the height, refined: slopes add up."""
     maps = arrays(material)
-    if material.name == "distribution":
+    if material.name in ("distribution", "microfacet"):
         slopes = oracle.sobel(maps["height"][0], material.tiles) * material.size[1] / 8
         if "normal" in maps:
             slopes = slopes - maps["normal"][:2] / maps["normal"][2]
@@ -255,7 +255,7 @@ def test_a_vanishing_relief_is_the_flat_surface_plus_ambient(name, options, dtyp
         material = flat.on_relief(scale * waves(dtype=dtype), ambient(dtype=dtype))
         assert_same(material.shade(light, view), flat.shade(light, view) + ambient(dtype=dtype), bound)
         # A distribution's normals go to slopes and back, which rounds them.
-        same = bound if name == "distribution" else 0.0
+        same = bound if name in ("distribution", "microfacet") else 0.0
         assert_same(material.surface().shade(light, view), flat.shade(light, view), same)
 
 
@@ -666,7 +666,7 @@ def test_settings_survive_the_relief_and_changes_of_them(name, options):
     assert material.storage == "png8" and material.repeating(True).storage == "png8"
     flat = material.surface()
     assert not flat.has_relief and flat.tiles is False
-    taken = {"normal"} if name == "distribution" else set()  # from the height
+    taken = {"normal"} if name in ("distribution", "microfacet") else set()  # from the height
     assert {spec.name for spec in flat.specs()} == set(material.maps) - {"height", "ambient"} | taken
     assert not make(name, options).has_relief
 
