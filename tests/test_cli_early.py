@@ -96,12 +96,12 @@ def test_the_choices_that_are_known_early_are_those_that_the_models_take():
     (("fit", "ptm", "--set", "holdout_by=lights"), "Did you mean 'light'?"),
     (("fit", "ptm", "--measure", "ful"), "Did you mean 'full'?"),
     (("fit", "ptm", "--kind", "manifets"), "Did you mean 'manifest'?"),
-    (("compare", "--holdout", "-1"), "compare: holdout must lie in [0, 1); it is -1.0."),
-    (("fit-many", "ptm", "stones", "--downscale", "0"), "fit-many: downscale must be at least 1; it is 0."),
-    (("render", "stones", "--size", "0"), "render: size must be at least 1; it is 0."),
-    (("blend", "stones", "stones", "--weight", "3"), "blend: weight must lie in [0, 1]; it is 3.0."),
+    (("compare", "--holdout", "-1"), "compare: --holdout must lie in [0, 1); it is -1.0."),
+    (("fit-many", "ptm", "stones", "--downscale", "0"), "fit-many: --downscale must be at least 1; it is 0."),
+    (("render", "stones", "--size", "0"), "render: --size must be at least 1; it is 0."),
+    (("blend", "stones", "stones", "--weight", "3"), "blend: --weight must lie in [0, 1]; it is 3.0."),
     (("create", "stones", "--storage", "png9"), "Did you mean 'png8'?"),
-    (("geometry", "stones", "--depth", "99"), "geometry: depth must be one of '16', 'float'"),
+    (("geometry", "stones", "--depth", "99"), "geometry: --depth must be one of '16', 'float'"),
 ])
 def test_a_misspelt_name_is_reported_before_torch_is_there(arguments, words, tmp_path):
     (tmp_path / "stones").mkdir()

@@ -46,10 +46,14 @@ def _check_arguments(where: str, part: Any) -> None:
     """Raise RangeError for a word or a number that an argument cannot be: see `words` and `bounds` of commands."""
     for name, words in getattr(part, "words", {}).items():
         if getattr(part, name) is not None:
-            check_option(where, name, getattr(part, name), words)
+            check_option(where, _flag(name), getattr(part, name), words)
     for name, bound in getattr(part, "bounds", {}).items():
         if getattr(part, name) is not None:
-            _check_bound(where, name, getattr(part, name), bound)
+            _check_bound(where, _flag(name), getattr(part, name), bound)
+
+
+def _flag(name: str) -> str:
+    return f"--{name.replace('_', '-')}"
 
 
 def _check_bound(where: str, name: str, value: float, bound: Bound) -> None:

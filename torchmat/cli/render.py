@@ -76,6 +76,8 @@ class Render:
         from torchmat.cli.known import MESHES
         from torchmat.errors import check_option
 
+        if self.scene is None:
+            self._check(self._meshes())
         for mesh in self.mesh:
             if Path(mesh).suffix or len(Path(mesh).parts) > 1:
                 check_there(mesh)
@@ -99,8 +101,7 @@ class Render:
             for path in written:
                 print(f"picture    {path}")
             return
-        meshes = self.mesh or (_DEFAULT_MESHES[1:] if self.point or self.turntable or self.sweep else _DEFAULT_MESHES)
-        self._check(meshes)
+        meshes = self._meshes()
         lights = self._lights()
         for mesh in meshes:
             stem = folder / f"render_{Path(mesh).stem}"
@@ -108,6 +109,9 @@ class Render:
                 written = self._pictures(shader, mesh, lights, stem)
             for path in written:
                 print(f"picture    {path}")
+
+    def _meshes(self):
+        return self.mesh or (_DEFAULT_MESHES[1:] if self.point or self.turntable or self.sweep else _DEFAULT_MESHES)
 
     def _of_scene(self, shader, scene, folder: Path) -> list[Path]:
         from torchmat.errors import RangeError, message
