@@ -54,7 +54,7 @@ def distribution_specs(lobes: int, parts: Sequence[str], mask_channels: int = 1)
             "tilt", "1 - d for 0..90 degrees", layer_channels=1, low=0.0, high=1.0, per_texel=False, fixed=True,
         ),
         "masking": MapSpec(
-            "masking", "roughness a_u, a_v of Smith's masking along and across the turned tangent", layer_channels=2,
+            "masking", "roughness of Smith's masking along and across the turned tangent", layer_channels=2,
             low=0.0, constant=True,
         ),
     }

@@ -99,7 +99,7 @@ def stopped_text(report: Mapping[str, Any]) -> str:
     figures = report.get("figures") or {}
     choice, back = figures.get("auto"), (figures.get("geometry") or {}).get("fell_back")
     said = [f"{back}: the surface is flat"] if back else []
-    reason = choice["chosen"]["fit_stopped"] if choice else report.get("stop_reason")
+    reason = (choice.get("chosen") or {}).get("fit_stopped") if choice else report.get("stop_reason")
     if reason in (DIVERGED, NOT_FINITE):
         steps = figures.get("solver_steps", figures.get("steps"))
         ended = "diverged" if reason == DIVERGED else "met values that are not finite"
