@@ -168,3 +168,9 @@ def test_fit_takes_the_name_of_a_config_that_ships(tmp_path, monkeypatch):
     btf = load_btf(sample_path(), cache=False, crop=(0, 0, 4, 4), progress=False)
     report = fit(btf, "ptm.toml", holdout=0, measure=False).report
     assert report["model"] == "ptm" and report["options"]["storage"] == "png8"
+
+
+def test_a_finish_may_be_left_out_by_a_config():
+    assert load_config("ptm").finish and not load_config("ptm", ["finish=false"]).finish
+    with pytest.raises(RangeError, match="finish must be a bool; it is 'never'"):
+        load_config("ptm", ["finish=never"])

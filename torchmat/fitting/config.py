@@ -102,7 +102,7 @@ def _typed(where: str, table: dict[str, Any]) -> dict[str, Any]:
         "relief": str, "finish": bool, "tiles": (bool, str), "target": dict, "tile_size": int, "memory_mb": (int, float), "data": dict,
     }
     for key, value in table.items():
-        if not isinstance(value, kinds[key]) or (isinstance(value, bool) and key != "tiles"):
+        if not isinstance(value, kinds[key]) or (isinstance(value, bool) and key not in ("tiles", "finish")):
             wanted = getattr(kinds[key], "__name__", "number")
             raise RangeError(message(where, key, f"be a {wanted}", f"it is {value!r}"))
     return table
