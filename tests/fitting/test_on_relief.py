@@ -107,8 +107,9 @@ def test_double_precision_stays_double(model):
         errors = [one.report["held_out"]["psnr_db"] for one in (result, fitted(model, True))]
         assert abs(errors[0] - errors[1]) < 0.3
     else:
-        # The steps of Adam carry rounding on: measured 7e-5.
-        assert_close(single.double(), double, 5e-4 if model in ("distribution", "microfacet") else 1e-5)
+        # The steps of Adam carry rounding on, through what all texels share most: the printed formula differs by 7e-5, with
+        # Smith's two numbers by 7e-4.
+        assert_close(single.double(), double, {"distribution": 1e-3, "microfacet": 5e-4}.get(model, 1e-5))
 
 
 def test_lambert_recovers_albedo_and_ambient():
