@@ -8,13 +8,7 @@ from torchmat.fitting.geometry import RECOVER
 from torchmat.fitting.models.microfacet.fit import OPTIONAL, fit_microfacet, fit_microfacet_on_relief
 from torchmat.fitting.objective import DISPLAY
 from torchmat.fitting.recipe import Ladder, Part, Recipe, Tiling
-from torchmat.fitting.training import Fitted
 from torchmat.models import Material, Microfacet
-
-
-def _settle(options: dict[str, Any], fitted: Fitted) -> tuple[dict[str, Any], Fitted]:
-    """Return options that leave nothing to decide."""
-    return {**options, **{part: part in fitted.material.options["parts"] for part in OPTIONAL}}, fitted
 
 
 def _as_it_is(material: Material) -> Material:
@@ -25,6 +19,10 @@ def _nothing(material: Material) -> float:
     return 0.0
 
 
+_REFUSED = (
+    "draws roughness and the colour of F0 to the means of all texels, which a tile does not know",
+    "Fit 'distribution' by tiles, or images that are downscaled.",
+)
 _BARE: dict[str, Any] = {**dict.fromkeys(OPTIONAL, False), "normal": False}
 _LADDER = Ladder(
     bare=_BARE,
@@ -39,5 +37,5 @@ MICROFACET = Recipe(
     Microfacet, fit_microfacet, bytes_per_texel="10 to 24", solvers=("minibatch", "adam", "lbfgs"), solvers_differ=False,
     objective=DISPLAY, ladder=_LADDER, on_relief=fit_microfacet_on_relief,
     quick={**dict.fromkeys(OPTIONAL, False), "effort": 0.06}, geometry=RECOVER,
-    tiling=Tiling(4096, _settle, bytes_per_texel=24_000, holds_samples=True),
+    tiling=Tiling(refused=_REFUSED),
 )
