@@ -14,6 +14,7 @@ from tests.support import all_pairs, assert_close, hemisphere
 import torchmat as tm
 from torchmat import Btf, FitResult, RangeError
 from torchmat.fitting import predict
+from torchmat.fitting.models.distribution import choose
 from torchmat.fitting.models.distribution import fit as fitting
 
 LIGHT, VIEW = all_pairs(hemisphere(((20, 1), (40, 4), (65, 4))), hemisphere(((0, 1), (30, 4), (60, 4))))
@@ -126,31 +127,61 @@ def test_without_rotation_the_anisotropic_one_is_not_explained():
 
 @pytest.mark.parametrize(("kind", "kept"), [("anisotropic", True), ("isotropic", False)])
 def test_rotation_is_kept_where_it_pays(kind, kept):
-    options = {**ONE_LOBE, "rotation": "auto", "solver": tm.Minibatch(steps=30)}  # the pilots alone; measured 23 dB and -4 dB
+    options = {**ONE_LOBE, "rotation": "auto", "effort": 0.3}  # measured 27 dB and -4 dB
     result = tm.fit(btf_of(noisy(kind)), "distribution", geometry="flat", measure=False, **options)
     assert ("rotation" in result.material.maps) is kept
-    pilots = result.report["figures"]["pilots"]
-    assert [pilot["kept"] for pilot in pilots] == [True, kept]
-    assert (pilots[1]["psnr_db"] > pilots[0]["psnr_db"] + 0.08) is kept
+    (trial,) = result.report["figures"]["trials"]
+    assert trial["part"] == "rotation" and trial["kept"] is kept
+    assert (trial["psnr_db"] > trial["without"] + 0.08) is kept
     assert set(result.report["figures"]["parts"]) == set(result.material.options["parts"])
 
 
 @pytest.mark.parametrize(("gain", "kept"), [(-1.0, False), (0.07, False), (0.09, True), (0.5, True)])
 def test_a_part_is_kept_from_0_08_db_on(gain, kept, monkeypatch):
-    monkeypatch.setattr(fitting._Fit, "_pilot", lambda self, starts, parts: 20 + gain * ("fresnel" in parts.names))
-    result = tm.fit(btf_of(scene("isotropic")[1]), "distribution", measure=False, solver=tm.Minibatch(steps=3), **{**ONE_LOBE, "fresnel": "auto"})
+    monkeypatch.setattr(choose.Choice, "_psnr", lambda self, raw, parts: 20 + gain * ("fresnel" in parts.names))
+    options = {**ONE_LOBE, "fresnel": "auto", "effort": 0.01}
+    result = tm.fit(btf_of(scene("isotropic")[1]), "distribution", measure=False, **options)
     assert ("fresnel" in result.material.options["parts"]) is kept
 
 
-def test_a_pilot_is_judged_by_the_tenth_of_the_samples_that_it_was_not_fitted_to(monkeypatch):
-    state, parts, _ = _begun(4)
+def test_parts_are_decided_by_the_tenth_of_the_samples_that_no_step_before_has_seen(monkeypatch):
     fitted_to, judged_by = [], []
-    monkeypatch.setattr(fitting._Fit, "_solve", lambda self, raw, parts, solver, samples, *rest: fitted_to.append(samples))
-    values = type(state.surface).values
-    monkeypatch.setattr(type(state.surface), "values", lambda self, rows: judged_by.append(rows) or values(self, rows))
-    state._pilot(fitting.find_starts(state.surface, state.level), parts)
-    fitted_to, judged_by = torch.cat(fitted_to), torch.cat([rows for rows in judged_by if not isinstance(rows, slice)])
-    assert len(judged_by) == 8 and torch.equal(torch.cat((fitted_to, judged_by)).sort().values, torch.arange(81))
+    honest_solve, honest_psnr = fitting.DistributionFit.solve, choose.Choice._psnr
+
+    def solve(self, raw, parts, solver, samples, *rest):
+        fitted_to.append(samples)
+        return honest_solve(self, raw, parts, solver, samples, *rest)
+
+    def psnr(self, raw, parts):
+        judged_by.append((len(fitted_to), self.back))
+        return honest_psnr(self, raw, parts)
+
+    monkeypatch.setattr(fitting.DistributionFit, "solve", solve)
+    monkeypatch.setattr(choose.Choice, "_psnr", psnr)
+    options = {**ONE_LOBE, "fresnel": "auto", "lobes": "auto", "effort": 0.01, "holdout": 0}
+    tm.fit(btf_of(scene("isotropic")[1]), "distribution", measure=False, **options)
+    for seen, back in judged_by:
+        assert torch.equal(torch.cat((fitted_to[seen - 1], back)).sort().values, torch.arange(81)) and len(back) == 8
+        assert not any(bool(torch.isin(back, samples).any()) for samples in fitted_to[:seen])
+    assert len(fitted_to[-1]) == 81  # the last steps see all
+
+
+def test_what_a_part_did_is_given_to_those_that_are_left():
+    # Fresnel to the mask: the same values on the mean angle; a turned lobe to the even one that all texels show together.
+    angle = torch.linspace(-math.pi, math.pi, 64).reshape(1, 8, 8)
+    raw = {
+        "fresnel": torch.zeros(1, 8, 8), "specular_mask": torch.zeros(1, 8, 8), "rotation": angle,
+        "specular": torch.zeros(3, 16, 16), "masking": torch.tensor([0.1, 0.3]).log(),
+    }
+    raw["specular"][:, :, 10:] = 1.0
+    left = choose.without("fresnel", raw, 0.25)
+    assert "fresnel" not in left
+    assert_close(left["specular_mask"].exp(), torch.full((1, 8, 8), 0.625), 1e-6)
+    left = choose.without("rotation", raw, 0.25)
+    assert_close(left["masking"].exp(), torch.full((2,), math.sqrt(0.05)), 1e-6)
+    turned = left["specular"].exp()
+    assert_close(turned, torch.rot90(turned, 1, (1, 2)), 0.02)
+    assert float((raw["specular"].exp() - torch.rot90(raw["specular"].exp(), 1, (1, 2))).abs().max()) > 1
 
 
 def test_lobes_are_chosen_by_the_data():
@@ -163,7 +194,7 @@ def test_too_few_samples_to_choose_by_take_the_plain_material():
     few = btf_of(scene("isotropic")[1][:15], light=LIGHT[:15], view=VIEW[:15])
     options = {"specular_size": 8, "effort": 0.01, "holdout": 0, "measure": False}
     result = tm.fit(few, "distribution", geometry="flat", **options)
-    assert result.report["figures"]["pilots"] == [] and result.material.options["parts"] == ["normal", "specular_mask", "masking"]
+    assert result.report["figures"]["trials"] == [] and result.material.options["parts"] == ["normal", "specular_mask", "masking"]
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
@@ -315,7 +346,7 @@ def test_9_what_nothing_pulls_at_stays_finite_however_long():
     assert all(bool(torch.isfinite(value).all()) for value in material.maps.values())
 
 
-def _begun(size: int) -> tuple[fitting._Fit, fitting.Parts, dict[str, torch.Tensor]]:
+def _begun(size: int) -> tuple[fitting.DistributionFit, fitting.Parts, dict[str, torch.Tensor]]:
     """Return a fit of a few texels that has not taken a step yet, its parts and its parameters."""
     from torchmat.fitting.models.distribution.options import DistributionOptions
     from torchmat.fitting.models.distribution.start import find_starts
@@ -325,7 +356,7 @@ def _begun(size: int) -> tuple[fitting._Fit, fitting.Parts, dict[str, torch.Tens
     btf = btf_of(scene("isotropic")[1][:, :, :size, :size])
     training = make_training(btf, torch.arange(len(btf)), 0, True, torch.float32, False)
     options = DistributionOptions(**{**ONE_LOBE, "specular_size": 8})
-    state = fitting._Fit(bring_onto(training, torch.zeros(1, size, size)), None, options)
+    state = fitting.DistributionFit(bring_onto(training, torch.zeros(1, size, size)), None, options)
     parts = fitting.Parts(1, False, False)
     return state, parts, fitting.raw_maps(find_starts(state.surface, state.level), parts, 8, training)
 
@@ -339,7 +370,7 @@ def _material_of(mask: torch.Tensor) -> tm.Material:
 def test_a_step_goes_a_third_as_far_in_slopes_and_twice_as_far_in_tables():
     state, parts, raw = _begun(4)
     before = {name: value.clone() for name, value in raw.items()}
-    state._solve(raw, parts, tm.Minibatch(1, 0.06), torch.arange(81), math.inf, None)
+    state.solve(raw, parts, tm.Minibatch(1, 0.06), torch.arange(81), math.inf, None)
     longest = {name: float((value - before[name]).abs().max()) for name, value in raw.items()}
     # Adam's first step is its rate wherever there is a gradient, and a run begins with a twentieth of it.
     expected = {"normal": 0.0009, "diffuse": 0.003, "specular_mask": 0.003, "specular": 0.006}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import math
 
 import numpy as np
 import pytest
@@ -92,7 +93,9 @@ def test_it_pays_where_maps_and_height_are_off_and_the_height_gets_nearer():
     told = fitted.figures["finish"]
     assert told["kept"] and told["after"]["kept back"]["psnr_db"] > told["before"]["kept back"]["psnr_db"] + 3
     assert told["height_moved_texels"] > 0 and height_error(fitted.material) < 0.96 * height_error(blurred())
-    assert fitted.material.relief == "fine" and set(fitted.material.maps) == set(truth().maps)
+    assert fitted.material.relief == "fine" and set(fitted.material.maps) == {*truth().maps, "ambient_falloff"}
+    # A height that is off by waves brings much by moving, and light between texels is the same under every light there.
+    assert told["height_moves"] and set(told["light_between"]) == {"map", "radiosity"}
 
 
 def test_where_nothing_can_get_better_the_fit_stays_to_the_bit():
@@ -107,6 +110,7 @@ def test_slopes_hold_the_height_against_noise(depth, monkeypatch):
     # Pictures with noise get better by a height that follows it; the tie does not let it.
     btf, begun = data(depth, 0.05), Fitted(truth(depth))
     monkeypatch.setattr(module, "_better", lambda before, after: True)
+    monkeypatch.setattr(module, "_MOVES_DB", -math.inf)
     held = height_error(finish(training(btf), begun, True, 0.4).material, depth)
     monkeypatch.setattr(module, "_INDEPENDENT", 1e6)
     free = height_error(finish(training(btf), begun, True, 0.4).material, depth)
@@ -143,3 +147,42 @@ def test_too_few_samples_are_not_parted():
     few[:5] = True
     fitted = finish(training(data(), used=few), Fitted(truth()), True)
     assert "too few" in fitted.figures["finish"]["why"]
+
+
+def lit_by_radiosity() -> Lambert:
+    """The matte relief, three times as deep, where light goes between texels."""
+    true = truth(0.24)
+    return true.on_relief(true.maps["height"].detach(), indirect=torch.ones(1)).with_relief("fine")
+
+
+def test_light_between_texels_is_told_by_radiosity_where_that_is_what_it_is():
+    light, view = all_pairs(hemisphere(((15, 2), (55, 4))), hemisphere(((0, 1), (40, 5))))
+    planes = [torch.from_numpy(d).float()[:, :, None, None] for d in (light, view)]
+    with torch.no_grad():
+        btf = Btf.from_tensors(lit_by_radiosity().shade(*planes).numpy(), light, view)
+    true = truth(0.24)
+    begun = true.on_relief(true.maps["height"].detach(), 0.02 * torch.ones(3, SIZE, SIZE)).with_relief("fine")
+    fitted = finish(training(btf), Fitted(begun), False, 0.3)
+    assert fitted.figures["indirect"] == "radiosity" and "ambient" not in fitted.material.maps
+    assert float(fitted.material.maps["indirect"].detach()) == pytest.approx(1, abs=0.15)
+    kept = finish(training(btf, indirect="map"), Fitted(begun), False, 0.3)
+    assert kept.figures["indirect"] == "map" and "light_between" not in kept.figures["finish"]
+    better, worse = (one.figures["finish"]["after"]["kept back"]["psnr_db"] for one in (fitted, kept))
+    assert better > worse + 0.5
+
+
+@pytest.mark.parametrize(("way", "there", "gone"), [("none", (), ("ambient", "indirect")), ("radiosity", ("indirect",), ("ambient",))])
+def test_a_way_that_is_asked_for_is_taken(way, there, gone):
+    result = tm.fit(data(), "lambert", geometry=truth().maps["height"].detach(), indirect=way, relief="fast", holdout=0, measure=False)
+    assert all(name in result.material.maps for name in there) and not any(name in result.material.maps for name in gone)
+    assert result.report["figures"]["indirect"] == way
+
+
+def test_radiosity_needs_a_diffuse_colour_and_a_whole_fit():
+    height = truth().maps["height"].detach()
+    with pytest.raises(tm.RangeError, match="ptm has no diffuse colour that sends light"):
+        tm.fit(data(), "ptm", geometry=height, indirect="radiosity", measure=False)
+    with pytest.raises(tm.RangeError, match="indirect must be left to a fit of one model as a whole"):
+        tm.fit(data(), "lambert", geometry=height, indirect="radiosity", tile_size=8, measure=False)
+    with pytest.raises(tm.RangeError, match="indirect must be one of"):
+        tm.fit(data(), "lambert", indirect="radiosty", measure=False)

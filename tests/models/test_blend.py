@@ -169,7 +169,9 @@ def test_wrong_inputs_are_refused():
     with pytest.raises(RangeError, match="be of one model; they are distribution and ptm"):
         blend(first, make("ptm", {}, 3, 4), 0.5)
     with pytest.raises(RangeError, match="fresnel_exponent is 5.0 and 1.0"):
-        blend(first, distribution(3, 4, fresnel_exponent=1.0), 0.5)
+        five, one = (distribution(3, 4, 1, ("fresnel",), fresnel_exponent=exponent) for exponent in (5.0, 1.0))
+        blend(five, one, torch.full((1, 3, 4), 0.5, dtype=first.dtype))
+    assert blend(five, one, 0.25).options["fresnel_exponent"] == 4.0
     with pytest.raises(RangeError, match="share what cannot be mixed"):
         blend(make("pca", {"components": 3}, 3, 4), make("pca", {"components": 3}, 3, 4, seed=1), 0.5)
     with pytest.raises(RangeError, match=r"lie in \[0, 1\]; 1 of 1 values are not, the first is 1.5"):

@@ -10,7 +10,7 @@ import sys
 Bound = tuple[str, float, float]  # what a number must do, and the least and the largest that does
 
 CONFIG_KEYS = (
-    "model", "options", "holdout", "holdout_by", "seed", "geometry", "relief", "finish", "tiles", "target",
+    "model", "options", "holdout", "holdout_by", "seed", "geometry", "relief", "finish", "indirect", "tiles", "target",
     "tile_size", "memory_mb", "data",
 )
 OPTIONS: dict[str, tuple[str, ...]] = {
@@ -26,7 +26,7 @@ OPTIONS: dict[str, tuple[str, ...]] = {
     "shading_map": ("slices", "brdf", "overflow", "azimuths", "joint", "storage", "solver", "objective"),
     "distribution": (
         "lobes", "fresnel", "rotation", "tilt", "normal", "specular_mask", "specular_size", "effort", "solver",
-        "storage", "objective", "denominator",
+        "storage", "objective", "denominator", "fresnel_exponent",
     ),
     "neural": ("latent", "hidden", "layers", "effort", "storage", "solver", "objective"),
     "microfacet": (

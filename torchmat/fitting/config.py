@@ -12,6 +12,8 @@ from typing import Any
 
 from torchmat.btf.split import HOLDOUT_WAYS
 from torchmat.errors import RangeError, check_known_keys, check_option, message
+from torchmat.fitting.between import AUTO as AUTO_LIGHT
+from torchmat.fitting.between import WAYS
 from torchmat.fitting.data_settings import DATA_KEYS, check_data_settings
 from torchmat.fitting.geometry import check_word, is_path
 from torchmat.fitting.recipe import recipe_of
@@ -39,6 +41,8 @@ class FitConfig:
         relief: how the surface is followed where it has a height, "fast" or "fine" (`Material`); None is fine for a whole fit
             of one model on a relief that is recovered, else fast.
         finish: whether a fit on a fine relief ends with steps on the pictures themselves, where that pays.
+        indirect: how light between the texels of a relief is told: "map", an ambient map; "radiosity", by the relief and the
+            diffuse colours; "none"; or "auto", what a finish shows to be best.
         tiles: whether the surface repeats at its borders; "auto" asks the images (`tiling_of`).
         target: what is wanted: of "auto" `error` (relative), `psnr` (dB), `bytes` a texel, `highlights` (relative
             error there, 0.1); of any model `seconds`.
@@ -55,6 +59,7 @@ class FitConfig:
     geometry: str | None = None
     relief: str | None = None
     finish: bool = True
+    indirect: str = AUTO_LIGHT
     tiles: bool | str = AUTO_TILES
     target: dict[str, Any] = field(default_factory=dict)
     tile_size: int = 0
@@ -67,6 +72,7 @@ class FitConfig:
             check_word("config", self.geometry, self.model == AUTO)
         if self.relief is not None:
             check_option("config", "relief", self.relief, RELIEFS)
+        check_option("config", "indirect", self.indirect, WAYS)
         make_target("config [target]", self.target)
         for name in ("tile_size", "memory_mb"):
             if not 0 <= getattr(self, name) < math.inf:
@@ -99,7 +105,7 @@ class FitConfig:
 def _typed(where: str, table: dict[str, Any]) -> dict[str, Any]:
     kinds: dict[str, Any] = {
         "model": str, "options": dict, "holdout": (int, float), "holdout_by": str, "seed": int, "geometry": str,
-        "relief": str, "finish": bool, "tiles": (bool, str), "target": dict, "tile_size": int, "memory_mb": (int, float), "data": dict,
+        "relief": str, "finish": bool, "indirect": str, "tiles": (bool, str), "target": dict, "tile_size": int, "memory_mb": (int, float), "data": dict,
     }
     for key, value in table.items():
         if not isinstance(value, kinds[key]) or (isinstance(value, bool) and key not in ("tiles", "finish")):

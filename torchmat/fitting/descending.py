@@ -16,25 +16,29 @@ from torchmat.fitting.relief.surface import Surface, bring_onto
 from torchmat.fitting.training import Fitted, Training
 from torchmat.geometry import slopes_from_normals
 from torchmat.models import Material
-from torchmat.models.relief_maps import AMBIENT
+from torchmat.models.indirect import BETWEEN, BETWEEN_MAPS, between
 from torchmat.models.unbounded import Unbounded
 from torchmat.solvers import Stepping
 from torchmat.solvers.stop_reasons import DIVERGED, NOT_FINITE, STEP_LIMIT
 
-_HEIGHT, _AMBIENT = "height", "ambient"
+_HEIGHT = "height"
 
 
 class _SeenOnSurface(Seen):
     """Samples on the surface of a height, where a texel's light may be shaded and other texels add to it."""
 
-    def __init__(self, surface: Surface, bare: Material, ambient: Tensor) -> None:
+    def __init__(self, surface: Surface, bare: Material, whole: Material) -> None:
         super().__init__(surface.training, bare)
-        self.surface, self.ambient = surface, ambient
+        self.surface, self.whole = surface, whole
 
     def predicted(self, maps: dict[str, Tensor], rows: Tensor) -> Tensor:
-        own = {name: value for name, value in maps.items() if name != _AMBIENT}
-        lit = self.surface.lit[self.surface.training.btf.light_index[rows]]
-        return super().predicted(own, rows) * lit + maps.get(_AMBIENT, self.ambient)
+        own = {name: value for name, value in maps.items() if name not in BETWEEN}
+        btf = self.surface.training.btf
+        lit = self.surface.lit[btf.light_index[rows]]
+        direct = super().predicted(own, rows) * lit
+        light = btf.light[rows][:, :, None, None].to(lit.dtype)
+        sent = between(self.whole, light, {**self.whole.maps, **maps})
+        return direct if sent is None else direct + sent.whole()
 
 
 class Descending:
@@ -56,8 +60,9 @@ class Descending:
             self.surface = bring_onto(training, self._height)
         bare = material.surface()
         specs, values = list(bare.own_specs()), dict(bare.maps.items())
-        if _AMBIENT in material.maps:
-            specs, values = [*specs, AMBIENT], {**values, _AMBIENT: material.maps[_AMBIENT]}
+        for spec in BETWEEN_MAPS:
+            if spec.name in material.maps:
+                specs, values = [*specs, spec], {**values, spec.name: material.maps[spec.name]}
         free = [name for name in material.maps if name not in (*kept, _HEIGHT)]
         self.unknowns = Unbounded(specs, values, set(values) - set(free), training.btf.mask)
         self._see()
@@ -77,15 +82,13 @@ class Descending:
         if self.surface is None:
             self.seen = Seen(self.training, own)
         else:
-            none = torch.zeros((), dtype=self.material.dtype)
-            ambient = self.material.maps[_AMBIENT].detach() if _AMBIENT in self.material.maps else none
-            self.seen = _SeenOnSurface(self.surface, own, ambient)
+            self.seen = _SeenOnSurface(self.surface, own, self.material)
 
     def made(self) -> Material:
         """Return the material as it stands; maps that are kept are the very ones that it had."""
         found = self.unknowns.made()
-        own = self.material.from_surface({name: value for name, value in found.items() if name != _AMBIENT})
-        return self.material.with_maps(**own, **{name: found[name] for name in (_AMBIENT,) if name in found})
+        own = self.material.from_surface({name: value for name, value in found.items() if name not in BETWEEN})
+        return self.material.with_maps(**own, **{name: found[name] for name in BETWEEN if name in found})
 
     def run(self, solver: Stepping, rounds: Sequence[float]) -> Fitted:
         """Descend in rounds that take their share of the solver's steps, moving a height that is free between them."""

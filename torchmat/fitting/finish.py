@@ -16,6 +16,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from torchmat.fitting.between import chosen, rivals, way_of
 from torchmat.fitting.evaluate import evaluate
 from torchmat.fitting.objective import DISPLAY, LINEAR, Objective, mean_value
 from torchmat.fitting.relief.followed import Followed
@@ -23,16 +24,19 @@ from torchmat.fitting.training import Fitted, Training
 from torchmat.geometry.normals import pad_border
 from torchmat.models import Material
 from torchmat.models.fine_relief import FACTOR, seen_along
-from torchmat.models.relief_maps import AMBIENT, FINE
+from torchmat.models.indirect import BETWEEN, BETWEEN_MAPS, Between, between
+from torchmat.models.relief_maps import FINE
 from torchmat.models.unbounded import Unbounded
 from torchmat.repeatable import one_thread
 from torchmat.solvers import Minibatch, Problem
-from torchmat.solvers.stop_reasons import DIVERGED, NOT_FINITE
+from torchmat.solvers.stop_reasons import DIVERGED, NOT_FINITE, STEP_LIMIT
 
-_STEPS, _FEWEST = 160, 10
+_STEPS, _FEWEST = 240, 10
 _RATE = 0.02  # of the maps' parameters, a third of that of a fit from the start
-_TEXELS_A_STEP = 0.005  # of the height
-_BATCH_VALUES, _FEWEST_IMAGES = 49152, 4  # texels x images of one step
+_TEXELS_A_STEP = 0.01  # of the height
+_BATCH_VALUES, _FEWEST_IMAGES = 24576, 4  # texels x images of one step
+_TRIED = 0.2  # of the steps, to choose the way
+_WORTH_DB, _MOVES_DB = 0.1, 0.3  # what the bytes of an ambient map are worth; what a height must bring to move
 _FOLLOWED = 40  # steps on rays that were followed once
 _KEPT_BACK, _MOST, _FEWEST_BACK = 0.1, 64, 4  # of the training samples
 _HIGHLIGHTS = 0.1  # of the linear relative error beside that on a display, whose root lets highlights overshoot
@@ -49,8 +53,34 @@ def finish(training: Training, fitted: Fitted, moves: bool, effort: float = 1.0)
     material = fitted.material
     told = _left_out(training, material)
     if told is None:
-        fitted, told = _Finish(training, fitted, moves).run(max(_FEWEST, round(_STEPS * effort)))
+        steps = max(_FEWEST, round(_STEPS * effort))
+        fitted, told = _in_the_best_way(training, fitted, moves, steps)
     return replace(fitted, figures={**fitted.figures, "finish": told})
+
+
+def _in_the_best_way(training: Training, fitted: Fitted, moves: bool, steps: int) -> tuple[Fitted, dict[str, Any]]:
+    """Return the finish in the way that short ones show to be best: how light between texels is told, and whether the height moves.
+
+    A height that moves takes up what the appearance cannot say as well, and gets worse by it: it moves only where that brings
+    much, which appearance alone cannot be what is wrong.
+    """
+    standing, short = fitted.material, max(1, round(_TRIED * steps))
+    ways = rivals(training, standing)
+    runs = [_Finish(training, replace(fitted, material=one), False) for one in ways]
+    told: dict[str, Any] = {}
+    if len(runs) == 1 and not moves:
+        run = runs[0]
+    else:
+        errors = [run.tried(short) for run in runs]
+        best, steps = chosen(errors, _WORTH_DB), steps - short
+        run, told["light_between"] = runs[best], {way_of(one.material): error for one, error in zip(runs, errors, strict=True)}
+        if moves:
+            moving = _Finish(training, replace(fitted, material=ways[best]), True)
+            gained = moving.tried(short) - errors[best]
+            told["height_moves"], told["height_gains_db"] = gained > _MOVES_DB, gained
+            run = moving if gained > _MOVES_DB else run
+    finished, figures = run.run(steps, standing)
+    return replace(finished, figures={**finished.figures, "indirect": way_of(finished.material)}), {**figures, **told}
 
 
 def _left_out(training: Training, material: Material) -> dict[str, Any] | None:
@@ -112,41 +142,48 @@ class _Finish:
         self.objectives = Objective(DISPLAY, level), Objective(LINEAR, level)
         self.sizes = [self._size_of_black(objective) for objective in self.objectives]
         self.bare = self.material.surface()
-        specs, values = list(self.bare.own_specs()), dict(self.bare.maps.items())
-        if AMBIENT.name in self.material.maps:
-            specs, values = [*specs, AMBIENT], {**values, AMBIENT.name: self.material.maps[AMBIENT.name]}
-        self.unknowns = Unbounded(specs, values)
+        more = [spec for spec in BETWEEN_MAPS if spec.name in self.material.maps]
+        self.values = {**self.bare.maps, **{spec.name: self.material.maps[spec.name] for spec in more}}
+        self.unknowns = Unbounded([*self.bare.own_specs(), *more], self.values)
         self.height = self.material.maps["height"].detach().clone()
-        self.values = values
+        self.tie, self.strength = _Tie.to(self.height, training.tiles), 0.0
 
-    def run(self, steps: int) -> tuple[Fitted, dict[str, Any]]:
-        """Return the better of the fits before and after, and what is told of it."""
-        before = self._errors(self.material)
-        reason, start = self._descend(steps), self.material.maps["height"].detach()
+    def tried(self, steps: int) -> float:
+        """Go so many steps on, and return the dB of samples that they did not see."""
+        self._descend(steps)
+        self.material = self._made()
+        return self._error(self.material, self.back)["psnr_db"]
+
+    def run(self, steps: int, standing: Material) -> tuple[Fitted, dict[str, Any]]:
+        """Return the better of the finished fit and that of the `standing` material, and what is told of it."""
+        before = self._errors(standing)
+        reason = self._descend(steps)
         found: dict[str, Any] = {"kept": False, "steps": steps, "before": before, "reason": reason}
+        fitted = replace(self.fitted, material=standing)
         if reason in (NOT_FINITE, DIVERGED):
-            return self.fitted, {**found, "why": f"the descent ended with {reason!r}"}
+            return fitted, {**found, "why": f"the descent ended with {reason!r}"}
         material = self._made()
         after = self._errors(material)
         found |= {"after": after, "kept": _better(before, after)}
         if not found["kept"]:
-            return self.fitted, {**found, "why": "samples that it did not see came out no better"}
-        moved = float((self.height - start).square().mean().sqrt()) * start.shape[-1]
+            return fitted, {**found, "why": "samples that it did not see came out no better"}
+        moved = float((self.height - standing.maps["height"].detach()).square().mean().sqrt()) * self.height.shape[-1]
         shared = self.fitted.shared.moved_to(material)
         return replace(self.fitted, material=material, shared=shared), {**found, "height_moved_texels": moved}
 
     def _errors(self, material: Material) -> dict[str, dict[str, float]]:
-        return {
-            name: {key: evaluate(material, self.training.btf, rows, perceptual=False).report[key] for key in ("psnr_db", "relative_error")}
-            for name, rows in (("kept back", self.back), ("training", self.seen))
-        }
+        return {name: self._error(material, rows) for name, rows in (("kept back", self.back), ("training", self.seen))}
+
+    def _error(self, material: Material, rows: Tensor) -> dict[str, float]:
+        report = evaluate(material, self.training.btf, rows, perceptual=False).report
+        return {key: report[key] for key in ("psnr_db", "relative_error")}
 
     def _made(self) -> Material:
         """Return the material of the present maps and height."""
         maps = self.unknowns.made()
         standing = self.material.with_maps(height=self.height)
-        own = standing.from_surface({name: value for name, value in maps.items() if name != AMBIENT.name})
-        return standing.with_maps(**own, **{name: maps[name] for name in (AMBIENT.name,) if name in maps})
+        own = standing.from_surface({name: value for name, value in maps.items() if name not in BETWEEN})
+        return standing.with_maps(**own, **{name: maps[name] for name in BETWEEN if name in maps})
 
     def _descend(self, steps: int) -> str:
         training, btf, dtype = self.training, self.training.btf, self.training.dtype
@@ -157,25 +194,25 @@ class _Finish:
         offset = torch.zeros_like(self.height).requires_grad_()
         if self.moves:
             parameters, rates = [*parameters, offset], [*rates, _TEXELS_A_STEP]
-        if not parameters:
-            return NOT_FINITE
-        tie, strength = _Tie.to(self.height, training.tiles), 0.0
+        if not parameters or steps < 1:
+            return NOT_FINITE if not parameters else STEP_LIMIT
         start = self.height.clone()
 
         def objective(rows: Tensor | None) -> float:
-            nonlocal taken, strength
+            nonlocal taken
             assert rows is not None  # batches alone
             self.height = (start + scale * offset.detach())
             if taken > 0 and taken % _FOLLOWED == 0 and self.moves:
                 followed.follow(self.height)
+                self.material = self._made()  # light between texels is that of the present height and colours
             with torch.enable_grad():
                 height = start + scale * offset
                 loss = self._loss(followed, height, rows)
-                if taken == 0:
+                if self.strength == 0:
                     with one_thread():
-                        strength = float(loss.detach()) / (_INDEPENDENT * 3 * len(self.rows))
+                        self.strength = float(loss.detach()) / (_INDEPENDENT * 3 * len(self.rows))
                 taken += 1
-                total = loss + strength * tie.misfit(height) if self.moves else loss
+                total = loss + self.strength * self.tie.misfit(height) if self.moves else loss
             if math.isfinite(float(total.detach())):
                 total.backward()
             return float(total.detach())
@@ -192,11 +229,12 @@ class _Finish:
         """Return the mean squared error of the pictures of some samples, on a display and linear."""
         btf, dtype = self.training.btf, self.training.dtype
         maps: Mapping[str, Tensor] = {**self.values, **self.unknowns.maps()}
-        own = {name: value for name, value in maps.items() if name != AMBIENT.name}
+        own = {name: value for name, value in maps.items() if name not in BETWEEN}
         light, view = (d[rows][:, :, None, None].to(dtype) for d in (btf.light, btf.view))
         met = followed.on(height, btf.light_index[rows], btf.view_index[rows])
         shaded = self.bare.sharing(own).shade(light, view)
-        seen = seen_along(shaded, maps.get(AMBIENT.name), met, self.training.tiles).clamp(min=0)
+        sent: Between | None = between(self.material, light, maps)
+        seen = seen_along(shaded, sent, met, self.training.tiles).clamp(min=0)
         target = btf.images(rows, dtype)
         weight = btf.weights(rows).to(dtype)
         on_display, linear = (

@@ -19,6 +19,8 @@ from torchmat.btf.lit import paired_lights
 from torchmat.btf.tiling import decided
 from torchmat.errors import RangeError, check_option, message
 from torchmat.fitting.choice.choose import fit_auto
+from torchmat.fitting.between import AUTO as LIGHT_AUTO
+from torchmat.fitting.between import MAP as LIGHT_MAP
 from torchmat.fitting.config import FitConfig, load_config
 from torchmat.fitting.evaluate import MEASURES, evaluate, evaluate_parts, nothing_measured, shading_rate
 from torchmat.fitting.from_material import check_free, fit_from, kept_names, onward_of
@@ -83,6 +85,7 @@ def fit(
     geometry: Geometry | str | Path | Tensor | np.ndarray | None = None,
     relief: str | None = None,
     finish: bool | None = None,
+    indirect: str | None = None,
     tiles: bool | str | None = None,
     error: float | None = None,
     psnr: float | None = None,
@@ -121,6 +124,8 @@ def fit(
             is recovered, else fast.
         finish: whether a fit on a fine relief ends with steps whose loss is taken on the pictures themselves, in which a height
             that was recovered moves along; kept where it pays. Usually True.
+        indirect: how light between the texels of a relief is told: "map" by an ambient map, "radiosity" by the relief and the
+            diffuse colours, which takes no bytes, "none" not at all. Usually "auto": what a finish shows to be best, or a map.
         tiles: whether the surface repeats at its borders; usually "auto", which asks the images and says so in the report.
         error, psnr: of "auto", the relative error or the dB on held-out samples that the smallest material must reach.
         bytes: of "auto", the most bytes a texel, shared tables included.
@@ -144,8 +149,8 @@ def fit(
     Raises RangeError for unknown models or options, FitError when the data cannot determine the model.
     """
     given = {
-        "holdout": holdout, "holdout_by": holdout_by, "seed": seed, "relief": relief, "finish": finish, "tiles": tiles,
-        "tile_size": tile_size, "memory_mb": memory_mb,
+        "holdout": holdout, "holdout_by": holdout_by, "seed": seed, "relief": relief, "finish": finish,
+        "indirect": indirect, "tiles": tiles, "tile_size": tile_size, "memory_mb": memory_mb,
     }
     wanted = {"error": error, "psnr": psnr, "bytes": bytes, "seconds": seconds, "highlights": highlights}
     how = FULL if measure is True else NONE if measure is False else measure
@@ -154,7 +159,7 @@ def fit(
         raise RangeError(message("fit", "dtype", "be torch.float32 or torch.float64", f"it is {dtype}"))
     if isinstance(model, Material):
         others = {"geometry": geometry, "scene": scene, "tile_size": tile_size, "memory_mb": memory_mb, "work": work, **wanted}
-        _refuse_beside_a_material({**others, "seconds": None, "relief": relief, "finish": finish, "tiles": tiles})
+        _refuse_beside_a_material({**others, "seconds": None, "relief": relief, "finish": finish, "indirect": indirect, "tiles": tiles})
         task = _of_material(btf, model, options, given, seconds, dtype)
     else:
         task = _by_name(model, given, wanted, geometry, options, scene, work)
@@ -266,7 +271,10 @@ def _fitted(
     """Return what the config asks for: a model, whole or tile by tile, or the choice among models; for a scene or all."""
     by_tiles = config.tile_size or config.memory_mb or work is not None
     usual = FINE if isinstance(geometry, Recover) and config.model != AUTO and not by_tiles else FAST
-    training = replace(training, relief=config.relief or usual, finish=config.finish)
+    training = replace(training, relief=config.relief or usual, finish=config.finish, indirect=config.indirect)
+    if config.indirect not in (LIGHT_AUTO, LIGHT_MAP) and (by_tiles or config.model == AUTO or scene is not None):
+        fact = f"it is {config.indirect!r}, and the fit is by tiles, for a scene, or a choice among models"
+        raise RangeError(message("fit", "indirect", "be left to a fit of one model as a whole", fact, 'Leave it out, or say "map".'))
     if scene is not None:
         return fit_for_scene(training, config, options, geometry, scene, work)
     if config.model == AUTO:

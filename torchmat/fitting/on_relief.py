@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from torchmat.errors import FitError, RangeError
+from torchmat.fitting.between import settled
 from torchmat.fitting.evaluate import evaluate
 from torchmat.fitting.finish import finish
 from torchmat.fitting.geometry import FLAT, Flat, Geometry, Given, check_height
@@ -110,6 +111,7 @@ def fit_with_geometry(
 
 def _finished(training: Training, fitted: Fitted, options: dict[str, Any], moves: bool) -> Fitted:
     """Return a fit after its finish, where one is wanted; of as many steps as the effort of the fit says."""
+    fitted = settled(training, fitted)
     wanted = training.finish and training.relief == FINE
     return finish(training, fitted, moves, options.get("effort", 1.0)) if wanted else fitted
 

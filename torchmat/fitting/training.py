@@ -27,7 +27,8 @@ class Training:
     """The samples a fit may look at: `used` is bool [sample], lights above the horizon and not held out.
 
     `tiles` says that the surface repeats, `relief` how one that has a height is followed (`Material`), `finish`
-    whether fits on a fine one are finished (`fitting.finish`). `importance` [sample] is what a sample counts (None: all
+    whether fits on a fine one are finished (`fitting.finish`), `indirect` how light between its texels is told
+    (`fitting.between`). `importance` [sample] is what a sample counts (None: all
     alike); `watch` is the fit's clock. `shared` is what all texels have in common where that is known already
     (`Fitted.shared`), else None: a fit that is given it finds only what each texel has of its own, whatever other texels
     there are.
@@ -44,6 +45,7 @@ class Training:
     shared: Shared | None = None
     relief: str = FAST
     finish: bool = False
+    indirect: str = "auto"
 
     def table(self, name: str) -> Tensor | None:
         """Return a map that all texels share where it is known already."""

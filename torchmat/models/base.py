@@ -13,6 +13,7 @@ from torch import Tensor, nn
 from torchmat.errors import RangeError, ShapeError, about_map, check_known_keys, check_option, message
 from torchmat.geometry.rays import look_up
 from torchmat.models.cutout import Cutout
+from torchmat.models.indirect import check_between
 from torchmat.models.relief_maps import COMMON_MAPS, FAST, OPACITY, RELIEF_MAPS, RELIEFS, covered, shade_points, shade_texels
 from torchmat.models.storable import Storable
 from torchmat.models.storage import STORAGES, MapSpec, StoredAs, check_map, check_stored
@@ -41,6 +42,7 @@ class Material(Storable):
     name: ClassVar[str]
     isotropic: bool = False
     reciprocal: ClassVar[bool] = False
+    diffuse_map: ClassVar[str | None] = None  # the map of what a texel sends of light that arrives from everywhere
     bright_at_horizon: bool = False  # its value need not go to 0 as the light sets: pictures of objects fade it
 
     def __init__(
@@ -73,6 +75,7 @@ class Material(Storable):
                 raise RangeError(message(self.name, name, "be a floating-point tensor", fact), map=name)
         self.maps = nn.ParameterDict({spec.name: nn.Parameter(maps[spec.name].detach()) for spec in specs})
         self._check_shapes(specs)
+        check_between(self.name, maps, self.diffuse_map)
         check_stored(self.name, stored or {}, specs, self.size)
         self.stored = {name: one for name, one in (stored or {}).items() if one != StoredAs()}
         self._compiled: Callable[..., Tensor] | None = None  # `value` of other maps, by `compiled`
@@ -225,9 +228,11 @@ class Material(Storable):
         """Whether the surface has a height map."""
         return any(part.name == "height" for part in self._parts)
 
-    def on_relief(self, height: Tensor, ambient: Tensor | None = None) -> Self:
-        """Return the material on a relief: `height` [1, H, W] in texture widths, `ambient` [3, H, W]."""
+    def on_relief(self, height: Tensor, ambient: Tensor | None = None, indirect: Tensor | None = None) -> Self:
+        """Return the material on a relief: `height` [1, H, W] in texture widths, `ambient` [3, H, W] or `indirect` [1]."""
         parts = {"height": height} if ambient is None else {"height": height, "ambient": ambient}
+        if indirect is not None:
+            parts["indirect"] = indirect
         kept = {spec.name: self.maps[spec.name] for spec in self.specs() if spec not in RELIEF_MAPS}
         return self._like({**kept, **parts})
 

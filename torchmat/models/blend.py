@@ -16,6 +16,7 @@ from torchmat.geometry import normals_from_slopes, slopes_from_normals
 from torchmat.models.base import Material
 from torchmat.models.distribution import _MOST_LOBES, DISTRIBUTION_PARTS, Distribution
 from torchmat.models.edit import neutral_part, resample, resized, with_options
+from torchmat.models.indirect import FALLOFF, INDIRECT, told_alike
 
 
 def blend(first: Material, second: Material, weight: float | Tensor, filter: str = "bilinear") -> Material:
@@ -30,11 +31,12 @@ def blend(first: Material, second: Material, weight: float | Tensor, filter: str
     that side does, as long as both are flat and neither the sides of their specular maps nor their tilt differ.
     Raises RangeError for two models, or options and tables that cannot be mixed, ShapeError for a map of another size.
     """
-    _check_pair(first, second)
     weight = _as_weight(first, weight)
+    _check_pair(first, second, weight)
     second = _like(second, first, filter)
     if weight.ndim == 0 and float(weight) in (0.0, 1.0):
         return first if float(weight) == 0 else second
+    first, second = told_alike(first, second)
     first = first.stored_at(dict.fromkeys(first.stored.keys() - _stored_alike(first, second, weight)))
     maps = _relief(first, second, weight)
     if isinstance(first, Distribution) and isinstance(second, Distribution):
@@ -72,7 +74,7 @@ def _mix_vectors(name: str, one: Tensor, other: Tensor, weight: Tensor) -> Tenso
     return torch.where(weight == 0, one, torch.where(weight == 1, other, found))
 
 
-def _check_pair(first: Material, second: Material) -> None:
+def _check_pair(first: Material, second: Material, weight: Tensor) -> None:
     if type(first) is not type(second):
         fact = f"they are {first.name} and {second.name}"
         step = "Fit both with the same model."
@@ -81,6 +83,8 @@ def _check_pair(first: Material, second: Material) -> None:
         fact = f"they are {first.cutout} and {second.cutout}"
         raise RangeError(message("blend", "the materials", "cover the same part of a texture", fact))
     free = ("lobes", "parts", "mask_channels") if isinstance(first, Distribution) else ()
+    if weight.ndim == 0 or not all("fresnel" in side.maps for side in (first, second)):
+        free = (*free, "fresnel_exponent")  # a number lies between two others; a map of them has no place
     for name, value in first.options.items():
         if name not in free and second.options[name] != value:
             fact = f"{name} is {value!r} and {second.options[name]!r}"
@@ -136,6 +140,10 @@ def _relief(first: Material, second: Material, weight: Tensor) -> dict[str, Tens
         nothing = torch.full((channels, *first.size), without, dtype=first.dtype)
         one, other = (side.maps[name].detach() if name in side.maps else nothing for side in (first, second))
         found[name] = mix(one, other, weight)
+    for name in (FALLOFF.name, INDIRECT.name):  # of all texels: in a map of weights those of the mean
+        sides = [side.maps[name].detach() for side in (first, second) if name in side.maps]
+        if sides:
+            found[name] = mix(sides[0], sides[-1], weight.mean())
     return found
 
 
@@ -160,7 +168,17 @@ def _blend_distributions(
             _check_number(weight, name)
         maps[name] = _mix_vectors(name, one, other, weight) if name in ("normal", "rotation") else mix(one, other, weight)
     lobes = _lobes(first, second, weight, masks, maps)
-    return with_options(first, maps, lobes=lobes, parts=parts, mask_channels=len(masks[0]))
+    return with_options(
+        first, maps, lobes=lobes, parts=parts, mask_channels=len(masks[0]), fresnel_exponent=_rise(first, second, weight)
+    )
+
+
+def _rise(first: Distribution, second: Distribution, weight: Tensor) -> float:
+    """Return the exponent of Fresnel's rise in between; that of the one side that has such a part."""
+    found = [side.options["fresnel_exponent"] for side in (first, second) if "fresnel" in side.maps]
+    if len(found) < 2 or found[0] == found[1]:
+        return found[0] if found else first.options["fresnel_exponent"]
+    return found[0] + float(weight) * (found[1] - found[0])
 
 
 def _part(side: Distribution, name: str, channels: int = 1) -> Tensor:

@@ -85,6 +85,7 @@ class Distribution(Material):
     """
 
     name = "distribution"
+    diffuse_map = "diffuse"
 
     def __init__(
         self, maps: Mapping[str, Tensor], *, lobes: int = 1, parts: Sequence[str] = ("specular_mask",),
@@ -130,6 +131,10 @@ class Distribution(Material):
         parts = [part for part in DISTRIBUTION_PARTS if part in (*self.options["parts"], "normal")]
         return flat._unchecked({**flat.maps, "normal": normals_from_slopes(slopes)}, options={**self.options, "parts": parts})
 
+    def with_rise(self, exponent: Tensor) -> Distribution:
+        """Return a flat material of these very tensors whose Fresnel's exponent [1] a gradient reaches."""
+        return self._unchecked(dict(self.maps), options={**self.options, "fresnel_exponent": exponent})
+
     def from_surface(self, maps: Mapping[str, Tensor]) -> dict[str, Tensor]:
         found = super().from_surface(maps)
         if self.has_relief and "normal" in found:
@@ -170,7 +175,7 @@ class Distribution(Material):
 
     def _rise(self, grazing: Tensor) -> Tensor:
         exponent = self.options["fresnel_exponent"]
-        if exponent >= 1:
+        if isinstance(exponent, Tensor) or exponent >= 1:
             return grazing**exponent
         return safe.power(grazing, torch.tensor(exponent, dtype=grazing.dtype))  # its slope at 0 is infinite
 

@@ -71,6 +71,8 @@ def _spec_of(material: Material, name: str) -> MapSpec:
     step = ""
     if name in ("height", "ambient"):
         step = "Use material.on_relief(height, ambient) to give it one."
+    elif name in ("indirect", "ambient_falloff"):
+        step = "Use material.with_maps, or fit with indirect='radiosity' (an ambient map for the falloff)."
     elif name == "opacity":
         step = "Use material.with_maps(opacity=...) to give it one."
     elif isinstance(material, Distribution) and name in DISTRIBUTION_PARTS:

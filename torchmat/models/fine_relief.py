@@ -15,6 +15,7 @@ from torch import Tensor
 
 from torchmat.geometry.normals import pad_border
 from torchmat.geometry.rays import clearance, look_up, texel_centres, trace_view
+from torchmat.models.indirect import Between
 
 FACTOR = 2
 SOFTNESS = 0.05  # slopes that a penumbra spans, as in the fast way
@@ -71,18 +72,22 @@ def fine_rays(height: Tensor, lights: Tensor, light: Tensor, views: Tensor, view
     return FineRays(lit_by(fine, lights, tiles), light, trace_view(fine, views, tiles=tiles).uv, view)
 
 
-def seen_along(shaded: Tensor, ambient: Tensor | None, met: FineRays, tiles: bool) -> Tensor:
+def seen_along(shaded: Tensor, sent: Between | None, met: FineRays, tiles: bool) -> Tensor:
     """Return what is seen [n, 3, H, W] of texels that give `shaded` [n, 3, H, W] under all their light: the mean of a texel's rays.
 
-    `ambient` [3, H, W] is what texels give in shadow as well, None for nothing. As in the fast way a ray looks colours up
+    `sent` is what texels give in shadow as well, None for nothing. As in the fast way a ray looks colours up
     by what it has moved from its texel's centre, so that without parallax nothing is blurred; its light where it ends.
     """
     moved = met.ends - _starts(shaded.shape[-2], shaded.shape[-1], shaded.dtype)
-    seen = look_up(shaded, moved[met.view], tiles, "bicubic") * look_up(met.lit[met.light], met.ends[met.view], tiles)
-    seen = functional.avg_pool2d(seen, FACTOR)
-    if ambient is not None:  # the same under every light
-        seen = seen + functional.avg_pool2d(look_up(ambient[None], moved, tiles, "bicubic"), FACTOR)[met.view]
-    return seen
+    lit = look_up(met.lit[met.light], met.ends[met.view], tiles)
+    if sent is not None and sent.value.ndim == 4:  # another under every light: looked up in one go
+        both = look_up(torch.cat((shaded, sent.whole().expand_as(shaded)), dim=1), moved[met.view], tiles, "bicubic")
+        return functional.avg_pool2d(torch.addcmul(both[:, 3:], both[:, :3], lit), FACTOR)
+    seen = functional.avg_pool2d(look_up(shaded, moved[met.view], tiles, "bicubic") * lit, FACTOR)
+    if sent is None:
+        return seen
+    every = functional.avg_pool2d(look_up(sent.value[None], moved, tiles, "bicubic"), FACTOR)[met.view]
+    return seen + (every if sent.share is None else every * sent.share)
 
 
 def _starts(rows: int, columns: int, dtype: torch.dtype) -> Tensor:

@@ -46,6 +46,7 @@ class Lambert(Material):
     """
 
     name = "lambert"
+    diffuse_map = "albedo"
 
     def __init__(self, maps: Mapping[str, Tensor], *, normals: str = "map", **settings: Any) -> None:
         check_option(self.name, "normals", normals, NORMALS)

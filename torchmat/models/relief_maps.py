@@ -10,13 +10,13 @@ from torch import Tensor, nn
 
 from torchmat.geometry.rays import look_up, soft_shadow, texel_centres, trace_view
 from torchmat.models.fine_relief import FineRays, fine_rays, refined, seen_along
+from torchmat.models.indirect import AMBIENT, BETWEEN_MAPS, INDIRECT, Between, arriving, between, share_of, transfer_of
 from torchmat.models.storage import MapSpec
 from torchmat.planes import common_lead
 
 # A 16-bit integer spans just the heights that occur; half precision would show as steps in the normals.
 HEIGHT = MapSpec("height", "height over the plane of the images, texture widths", layer_channels=1, storage="png16")
-AMBIENT = MapSpec("ambient", "light by way of other texels, for a light of 1", low=0.0, colour=True, linear=True)
-RELIEF_MAPS = (HEIGHT, AMBIENT)
+RELIEF_MAPS = (HEIGHT, *BETWEEN_MAPS)
 # Black where the surface is cut out: a value is the light that a texel sends, and a hole sends none.
 OPACITY = MapSpec(
     "opacity", "share of a texel that the surface covers", layer_channels=1, low=0.0, high=1.0, fixed_range=True, fixed=True,
@@ -79,13 +79,14 @@ def shade_along(material, light: Tensor, view: Tensor, met: Rays | FineRays) -> 
     looks up what it has moved by from the texel's centre, so that without parallax nothing is blurred.
     """
     shaded = material.surface().shade(light, view)
-    ambient = material.maps["ambient"] if "ambient" in material.maps else None
+    sent = between(material, light)
     if isinstance(met, FineRays):
-        ambient = None if ambient is None else covered(material.maps, ambient)
-        return seen_along(covered(material.maps, shaded), ambient, met, material.tiles).clamp(min=0)
+        if sent is not None:
+            sent = Between(covered(material.maps, sent.value), sent.share)
+        return seen_along(covered(material.maps, shaded), sent, met, material.tiles).clamp(min=0)
     shaded = shaded * met.shadow
-    if ambient is not None:
-        shaded = shaded + ambient
+    if sent is not None:
+        shaded = shaded + sent.whole()
     shaded = covered(material.maps, shaded)
     total = torch.zeros((), dtype=shaded.dtype)
     for end in met.ends:
@@ -114,11 +115,28 @@ def _shade_picture(material, uv: Tensor, light: Tensor, view: Tensor) -> Tensor:
     height = refined(height, tiles) if material.relief == FINE else height
     hit = trace_view(height, view, uv, tiles).uv
     picture = material.surface().at(hit).shade(light, view) * soft_shadow(height, light, uv=hit, tiles=tiles)
-    if "ambient" in material.maps:
-        picture = picture + look_up(material.maps["ambient"][None], hit[None], tiles)[0]
+    sent = _sent_at(material, light, hit)
+    if sent is not None:
+        picture = picture + sent
     if "opacity" in material.maps:
         picture = picture * look_up(material.maps["opacity"][None], hit[None], tiles)[0]
     return torch.where(above, picture, torch.zeros((), dtype=picture.dtype))
+
+
+def _sent_at(material, light: Tensor, hit: Tensor) -> Tensor | None:
+    """Return what is sent by way of other texels at places `hit` [2, h, w] under light [3, h, w] or [3, 1, 1]."""
+
+    def at(value: Tensor) -> Tensor:
+        return look_up(value[None], hit[None], material.tiles)[0]
+
+    if AMBIENT.name in material.maps:
+        share, found = share_of(material.maps, light), at(material.maps[AMBIENT.name])
+        return found if share is None else found * share
+    if INDIRECT.name not in material.maps:
+        return None
+    colour = material.maps[INDIRECT.name][:, None, None] * at(material.maps[material.diffuse_map])
+    transfer = transfer_of(material)
+    return colour * arriving(at(transfer.flatten(0, 1)).unflatten(0, transfer.shape[:2]), light)
 
 
 def _listed(light: Tensor, view: Tensor) -> tuple[Tensor, Tensor, torch.Size]:

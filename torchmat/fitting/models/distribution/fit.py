@@ -8,25 +8,25 @@ nor all that matters. Between rounds of Adam the height moves to where the appea
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 import torch
 from torch import Tensor
 
+from torchmat.fitting.models.distribution.choose import Choice
 from torchmat.fitting.models.distribution.options import DistributionOptions
 from torchmat.fitting.models.distribution.parameters import (
-    BLOCK_VALUES, DistributionShared, Parts, group_texels, inside_of, maps_of, rates_of, raw_maps, to_one,
+    EXPONENT, SCHLICK, DistributionShared, Parts, group_texels, inside_of, maps_of, rates_of, raw_maps, to_one,
 )
 from torchmat.fitting.models.distribution.start import find_starts
-from torchmat.fitting.objective import DISPLAY, DISPLAY_POWER, Objective, Residual, mean_value, power, shown
+from torchmat.fitting.objective import DISPLAY, DISPLAY_POWER, Objective, Residual, mean_value, power
 from torchmat.fitting.relief.refine import refine_height
 from torchmat.fitting.relief.surface import Surface, bring_onto
 from torchmat.fitting.training import Fitted, Training
 from torchmat.geometry import normals_from_slopes
 from torchmat.models import Distribution
-from torchmat.progress import Activity, whole, working
+from torchmat.progress import whole, working
 from torchmat.solvers import LBFGS, Adam, Descent, Minibatch, Problem, Stepping
 from torchmat.solvers.clock import Watch
 from torchmat.solvers.multiplicative import sweep
@@ -36,14 +36,11 @@ _BATCH_VALUES, _FEWEST_IMAGES = 49152, 4  # texels x images of one step
 _LEAST_GRADIENT = 1e-8 * 4096  # of a texel; the loss is a mean, so all gradients shrink with the number of texels
 _RATE = 0.06
 _ROUNDS = (600, 500, 900)  # steps before, between and after the moves of the height
+_TO_DECIDE = (1100, 900)  # and where it does not move, before and after parts are decided
 _FEWER = {Adam: 4, LBFGS: 10}  # steps on all samples at once do so many times as much
 # Passes of the multiplicative start, and images of each. Only a hurried fit begins so: a whole one gets there by Adam, and
 # ends up to 0.3 dB better. With fewer values for each entry of a specular map the passes learn their noise.
 _SWEEPS, _SWEPT, _HURRIED, _FEWEST_VALUES = 6, 256, 0.75, 400
-_PILOT = 300
-_GAIN_DB = 0.08  # what one more part must bring in a pilot run
-_MOST_LOBES = 3
-_PILOTS_SHARE = 0.08  # of a limit of seconds, for each pilot
 
 
 def fit_distribution(
@@ -51,10 +48,12 @@ def fit_distribution(
     rotation: bool | Literal["auto"] = "auto", tilt: bool | Literal["auto"] = False, normal: bool = True,
     specular_mask: bool = True, specular_size: int = 48, effort: float = 1.0, solver: Stepping = Minibatch(),
     storage: str = "png8", objective: str | Residual = DISPLAY, denominator: Literal["smith", "ashikhmin", "tilt"] = "smith",
+    fresnel_exponent: float | Literal["auto"] = "auto",
 ) -> Fitted:
     """Fit the distribution material to a flat surface.
 
-    Of what is "auto" a part is kept if a short pilot run on part of the samples gains 0.08 dB by it on the rest.
+    Of what is "auto" a part is kept if it gains 0.08 dB on samples kept back: of lobes and tilt in a short run from the start,
+    of Fresnel and rotation in the nearly whole fit (`choose`).
 
     Args:
         lobes: specular maps, 0 to 12; "auto" lets the data choose 1 to 3, 0 leaves them out with all that belongs to them.
@@ -70,21 +69,24 @@ def fit_distribution(
             fit in all, count instead of `effort`.
         denominator: how highlights grow toward grazing: "smith" by masking with two roughnesses for the whole material, in
             each texel's turned frame (Heitz 2014); "ashikhmin" by D as the thesis prints it; "tilt" by D with a curve.
+        fresnel_exponent: how a part of the light rises to all of it towards grazing: 5 is Schlick's, 1 the thesis's printed
+            formula, "auto" finds one for the whole material: Schlick's is a quarter too dark at 60 degrees on glass.
     """
     given = DistributionOptions(
         lobes, fresnel, rotation, tilt, normal, specular_mask, specular_size, effort, solver, storage, objective, denominator,
+        fresnel_exponent,
     )
     flat = torch.zeros(1, training.btf.height, training.btf.width, dtype=training.dtype)
-    return _Fit(bring_onto(training, flat), None, given).run()
+    return DistributionFit(bring_onto(training, flat), None, given).run()
 
 
 def fit_distribution_on_relief(surface: Surface, height: Tensor, **options: Any) -> Fitted:
     """Fit the distribution material over a relief, and refine its height along the way unless that was given."""
-    return _Fit(surface, height, DistributionOptions(**options)).run()
+    return DistributionFit(surface, height, DistributionOptions(**options)).run()
 
 
 @dataclass
-class _Fit:
+class DistributionFit:
     """One fit in progress."""
 
     surface: Surface
@@ -103,45 +105,47 @@ class _Fit:
     def run(self) -> Fitted:
         with working("finding where to start", self.surface.training.progress):
             starts = find_starts(self.surface, self.level)
-        parts, pilots = self._choose(starts)
+        self.choice = Choice(self)
+        self.choice.start(starts)
         with working("taking the first steps", self.surface.training.progress):
-            raw = self._begin(starts, parts)
+            raw = self.begin(starts, self.choice.parts)
         moves = self.height is not None and self.surface.moves
-        found = self._rounds(raw, parts, _ROUNDS if moves else (sum(_ROUNDS),))
-        figures = {"parts": parts.names, "lobes": parts.lobes, "pilots": pilots, "solver_steps": found.steps}
+        still = _TO_DECIDE if self.choice.open else (sum(_ROUNDS),)
+        raw, found = self._rounds(raw, _ROUNDS if moves else still)
+        parts = self.choice.parts
+        figures = {"parts": parts.names, "lobes": parts.lobes, "trials": self.choice.tried, "solver_steps": found.steps}
         shared = self._shared(raw, parts, starts)
         return Fitted(self._material(raw, parts), found.reason, None, figures, history=self.history, shared=shared)
 
-    def _rounds(self, raw: dict[str, Tensor], parts: Parts, rounds: tuple[int, ...]) -> Descent:
-        """Solve for all maps, moving the height between rounds; a limit of seconds is shared out as the steps are."""
-        taken, watch = 0, self.surface.training.watch
+    def _rounds(self, raw: dict[str, Tensor], rounds: tuple[int, ...]) -> tuple[dict[str, Tensor], Descent]:
+        """Solve for all maps, moving the height between rounds; a limit of seconds is shared out as the steps are.
+
+        Before the last round the parts that are open are decided; what that takes of steps is a part of the round.
+        """
+        training = self.surface.training
         solvers = [self._solver(steps, sum(rounds), number > 0) for number, steps in enumerate(rounds)]
         every = sum(solver.steps or 0 for solver in solvers)
-        with whole("fitting", every, "fitting", watch.limit - watch.seconds, self.surface.training.progress):
-            found, taken = self._each_round(raw, parts, rounds, solvers)
-        return replace(found, steps=taken)
-
-    def _each_round(
-        self, raw: dict[str, Tensor], parts: Parts, rounds: tuple[int, ...], solvers: list[Stepping]
-    ) -> tuple[Descent, int]:
-        """Return the descent of the last round that there was time for, and the steps of all."""
-        taken, watch = 0, self.surface.training.watch
-        for number, (steps, solver) in enumerate(zip(rounds, solvers, strict=True)):
-            if number > 0 and not watch.spent:
-                with working("moving the height", self.surface.training.progress):
-                    self._move_height(raw, parts)
-            now, share = watch.seconds, steps / sum(rounds[number:])
-            samples = torch.arange(len(self.surface.training.btf))
-            until = now + (watch.limit - now) * share
-            found = self._solve(raw, parts, solver, samples, until, watch)
-            taken += found.steps
-            self.history += found.history
-            if found.reason in (NOT_FINITE, DIVERGED) or watch.spent:
-                break
-        return found, taken
+        taken, watch = 0, training.watch
+        with whole("fitting", every, "fitting", watch.limit - watch.seconds, training.progress):
+            for number, (steps, solver) in enumerate(zip(rounds, solvers, strict=True)):
+                if number > 0 and self.height is not None and self.surface.moves and not watch.spent:
+                    with working("moving the height", training.progress):
+                        self._move_height(raw, self.choice.parts)
+                if number == len(rounds) - 1 and self.choice.open:
+                    raw, gone = self.choice.prune(raw)
+                    solver = replace(solver, steps=max(1, (solver.steps or 0) - gone))
+                    taken += gone
+                now, share = watch.seconds, steps / sum(rounds[number:])
+                until = now + (watch.limit - now) * share
+                found = self.solve(raw, self.choice.parts, solver, self.choice.samples, until, watch)
+                taken += found.steps
+                self.history += found.history
+                if found.reason in (NOT_FINITE, DIVERGED) or watch.spent:
+                    break
+        return raw, replace(found, steps=taken)
 
     @property
-    def _rate(self) -> float:
+    def rate(self) -> float:
         return getattr(self.options.solver, "rate", None) or _RATE
 
     def _solver(self, steps: int, every: int, again: bool) -> Stepping:
@@ -150,13 +154,13 @@ class _Fit:
         own = max(1, round(steps * self.options.effort)) // _FEWER.get(type(asked), 1)
         wanted: dict[str, Any] = {"steps": max(1, own if asked.steps is None else round(asked.steps * steps / every))}
         if hasattr(asked, "rate"):
-            wanted["rate"] = self._rate * 2 / 3 if again else self._rate
+            wanted["rate"] = self.rate * 2 / 3 if again else self.rate
         return replace(asked, **wanted)
 
-    def _begin(self, starts: dict[str, Tensor], parts: Parts) -> dict[str, Tensor]:
+    def begin(self, starts: dict[str, Tensor], parts: Parts) -> dict[str, Tensor]:
         """Return the parameters at the start, in a hurried fit with what only adds light as bright as the data."""
         training = self.surface.training
-        raw = raw_maps(starts, parts, self.options.specular_size, training)
+        raw = raw_maps(starts, parts, self.options.specular_size, training, self._given_exponent)
         known = training.shared_as(DistributionShared)
         if known is not None:
             self.known = {name: value for name, value in known.parameters.items() if name in raw}
@@ -189,7 +193,7 @@ class _Fit:
         for number in range(_SWEEPS):
             last = number == _SWEEPS - 1 and "specular_mask" in raw
             names = [*(n for n in additive if n != "specular"), "specular_mask"] if last else additive
-            sweep([raw[name] for name in names], lambda batch: self._predict(raw, parts, self.surface, batch), observed, batches)
+            sweep([raw[name] for name in names], lambda batch: self.predict(raw, parts, self.surface, batch), observed, batches)
 
     @property
     def _images(self) -> int:
@@ -211,91 +215,43 @@ class _Fit:
             groups=groups,
         )
 
-    def _choose(self, starts: dict[str, Tensor]) -> tuple[Parts, list[dict[str, Any]]]:
-        """Climb from one lobe alone: keep what pays in pilot runs."""
-        given = self.options
-        optional = ("fresnel", "rotation", "tilt")
-        lobes = 1 if given.lobes == "auto" else given.lobes
-        asked = {name: getattr(given, name) is True for name in optional}
-        asked["tilt"] |= given.denominator == "tilt"
-        parts = Parts(lobes, **asked, normal=given.normal, specular_mask=given.specular_mask, masking=given.denominator == "smith")
-        if lobes == 0:
-            return parts, []
-        trials: list[Callable[..., Parts]] = [lambda p, n=name: replace(p, **{n: True}) for name in optional if getattr(given, name) == "auto"]
-        if given.lobes == "auto":
-            trials += [lambda p, k=k: replace(p, lobes=k) if p.lobes == k - 1 else p for k in range(2, _MOST_LOBES + 1)]
-        if not trials or len(self.surface.training.btf) < 20:
-            return parts, []
-        with whole("choosing parts", (len(trials) + 1) * self._pilot_steps, "fitting", show=self.surface.training.progress) as bar:
-            return self._climb(starts, parts, trials, bar)
+    @property
+    def _given_exponent(self) -> float | None:
+        asked = self.options.fresnel_exponent
+        return None if asked == "auto" else asked
 
-    def _climb(
-        self, starts: dict[str, Tensor], parts: Parts, trials: Sequence[Callable[..., Parts]], bar: Activity
-    ) -> tuple[Parts, list[dict[str, Any]]]:
-        """Return `parts` with those of the `trials` that pay, and what was tried."""
-        best = self._pilot(starts, parts)
-        log: list[dict[str, Any]] = [{"parts": parts.names, "lobes": parts.lobes, "psnr_db": best, "kept": True}]
-        for trial in trials:
-            rival = trial(parts)
-            if rival == parts:
-                bar.advance(self._pilot_steps)
-                continue
-            found = self._pilot(starts, rival)
-            kept = found > best + _GAIN_DB
-            log.append({"parts": rival.names, "lobes": rival.lobes, "psnr_db": found, "kept": kept})
-            if kept:
-                parts, best = rival, found
-        return parts, log
-
-    def _pilot(self, starts: dict[str, Tensor], parts: Parts) -> float:
-        """Return the PSNR of a short run on nine tenths of the samples, measured on the rest after the display root."""
-        training = self.surface.training
-        btf = training.btf
-        generator = torch.Generator().manual_seed(training.seed)
-        order = torch.randperm(len(btf), generator=generator)
-        back = order[: max(1, len(btf) // 10)]
-        raw = self._begin(starts, parts)
-        # No pilot is noted: the curve is that of the fit.
-        until = training.watch.seconds + training.watch.limit * _PILOTS_SHARE
-        self._solve(raw, parts, Minibatch(self._pilot_steps, self._rate), order[len(back):], until, None)
-        error, count = torch.zeros(btf.height, btf.width, dtype=torch.float64), 0.0
-        for rows in back[:200].split(max(1, BLOCK_VALUES // (3 * btf.height * btf.width))):
-            values, valid = self.surface.values(rows)
-            predicted = self._predict(raw, parts, self.surface, rows)
-            gap = shown(predicted / self._white, 0).clamp(max=1) - shown(values / self._white, 0).clamp(max=1)
-            error += (gap.square() * valid).sum(dim=(0, 1)).double()
-            count += float(valid.sum()) * 3
-        return -10 * math.log10(max(float(error.sum()) / max(count, 1), 1e-12))
+    def exponent(self, raw: dict[str, Tensor]) -> float:
+        """Return the exponent of Fresnel's rise as it stands."""
+        found = maps_of({name: value for name, value in (raw | self.known).items() if name == EXPONENT})
+        return float(found[EXPONENT]) if found else self._given_exponent or SCHLICK
 
     @property
-    def _pilot_steps(self) -> int:
-        return max(1, round(_PILOT * min(1, self.options.effort)))
-
-    @property
-    def _white(self) -> float:
+    def white(self) -> float:
         """The value shown as white: 1 by convention, or for data of another unit ten times its mean."""
         return 1.0 if 0.01 < self.level < 10 else 10 * self.level
 
-    def _predict(self, raw: dict[str, Tensor], parts: Parts, surface: Surface, rows: Tensor) -> Tensor:
+    def predict(self, raw: dict[str, Tensor], parts: Parts, surface: Surface, rows: Tensor) -> Tensor:
         btf, dtype = surface.training.btf, surface.training.dtype
         light, view = (d[rows][:, :, None, None].to(dtype) for d in (btf.light, btf.view))
         maps = maps_of(raw | self.known)
-        ambient = maps.pop("ambient")
+        ambient, exponent = maps.pop("ambient"), maps.pop(EXPONENT, None)
         if "normal" not in maps and self.height is not None:
             maps["normal"] = normals_from_slopes(surface.slopes)
-        shaded = self._flat(maps, parts).value(light, view)
+        shaded = self._flat(maps, parts, exponent).value(light, view)
         return shaded if self.height is None else shaded * surface.lit[btf.light_index[rows]] + ambient
 
-    def _flat(self, maps: dict[str, Tensor], parts: Parts) -> Distribution:
+    def _flat(self, maps: dict[str, Tensor], parts: Parts, exponent: Tensor | None) -> Distribution:
         names = (*parts.names, *(["normal"] if "normal" in maps and not parts.normal else []))
         key = (str(parts.lobes), *names)
         if key not in self.templates:
             found = {name: value.detach() for name, value in maps.items()}
-            self.templates[key] = Distribution(found, lobes=parts.lobes, parts=names)
+            own = self._given_exponent or SCHLICK
+            self.templates[key] = Distribution(found, lobes=parts.lobes, parts=names, fresnel_exponent=own)
         # Not checked again at each step: maps that are no longer finite show in the error.
-        return self.templates[key].sharing(maps)
+        flat = self.templates[key].sharing(maps)
+        return flat if exponent is None else flat.with_rise(exponent)
 
-    def _solve(
+    def solve(
         self, raw: dict[str, Tensor], parts: Parts, solver: Stepping, samples: Tensor, until: float, watch: Watch | None
     ) -> Descent:
         """Change `raw` by `solver`, all texels and maps at once, on some `samples`; only what has a `watch` is noted."""
@@ -306,7 +262,7 @@ class _Fit:
             for batch in every.split(self._images):
                 values, valid = surface.values(batch)
                 with torch.enable_grad():
-                    squares = self.objective.squares(self._predict(raw, parts, surface, batch), values, valid)
+                    squares = self.objective.squares(self.predict(raw, parts, surface, batch), values, valid)
                     share = squares.numel() / values.numel() * len(batch) / len(every)
                     loss = squares.mean() * (share / self.objective.unit)
                 total += float(loss.detach())
@@ -334,17 +290,18 @@ class _Fit:
 
         def steepness(values: Tensor) -> Tensor:
             slope = power(values.clamp(min=0) + self.objective.darkest, DISPLAY_POWER - 1)
-            return slope * (DISPLAY_POWER * self._white**-DISPLAY_POWER)
+            return slope * (DISPLAY_POWER * self.white**-DISPLAY_POWER)
 
         slopes = raw.get("normal", surface.slopes)
         self.height = refine_height(
-            surface, height, slopes, lambda run: self._predict(raw, parts, surface, texels[run]), steepness
+            surface, height, slopes, lambda run: self.predict(raw, parts, surface, texels[run]), steepness
         )
         self.surface = bring_onto(surface.source, self.height, into=surface)
 
     def _material(self, raw: dict[str, Tensor], parts: Parts) -> Distribution:
         maps = maps_of(raw | self.known)
         ambient = maps.pop("ambient")
+        maps.pop(EXPONENT, None)
         if self.surface.training.shared is None:  # else other texels share the maps, and say what is the most
             maps |= to_one(maps, self.surface.training.btf.mask)
         if self.height is not None:
@@ -353,5 +310,5 @@ class _Fit:
                 maps["normal"] = normals_from_slopes(raw["normal"] - self.surface.slopes)
         return Distribution(
             {name: value.detach() for name, value in maps.items()}, lobes=parts.lobes, parts=parts.names,
-            storage=self.options.storage, tiles=self.surface.training.tiles, relief=self.surface.training.relief,
+            fresnel_exponent=self.exponent(raw), storage=self.options.storage, tiles=self.surface.training.tiles, relief=self.surface.training.relief,
         )

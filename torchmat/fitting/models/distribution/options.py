@@ -31,6 +31,7 @@ class DistributionOptions:
     storage: str = "png8"
     objective: str | Residual = DISPLAY
     denominator: Literal["smith", "ashikhmin", "tilt"] = "smith"
+    fresnel_exponent: float | Literal["auto"] = "auto"
 
     def __post_init__(self) -> None:
         check_objective(_WHERE, self.objective)
@@ -46,3 +47,5 @@ class DistributionOptions:
         if not 4 <= self.specular_size <= 1024:
             raise RangeError(message(_WHERE, "specular_size", "lie in 4 to 1024", f"it is {self.specular_size}"))
         check_positive(_WHERE, "effort", self.effort)
+        if self.fresnel_exponent != "auto":
+            check_positive(_WHERE, "fresnel_exponent", self.fresnel_exponent, "5 is Schlick's; \"auto\" fits it.")

@@ -18,12 +18,15 @@ from torchmat.fitting.training import Training
 from torchmat.frames import half_vector, tangent_frame
 from torchmat.geometry import normals_from_slopes
 from torchmat.models.distribution import DISTRIBUTION_PARTS, default_tilt, distribution_specs
-from torchmat.models.relief_maps import AMBIENT
+from torchmat.models.indirect import AMBIENT
+from torchmat.models.storage import MapSpec
 from torchmat.models.unbounded import map_of, relative_rate
 from torchmat.repeatable import one_thread
 
 BLOCK_VALUES = 2_000_000
 _SHARPEST = 0.1  # roughness to begin with: moments of samples degrees apart do not tell what is sharper
+EXPONENT = "fresnel_exponent"
+SCHLICK = 5.0  # the exponent of his approximation, where the fit of one begins
 _LEVEL = 1e-3  # of the tilt at 0 and 90 degrees, which a logit does not reach
 
 
@@ -53,19 +56,20 @@ class DistributionShared(Shared):
     """What all texels of a distribution material have in common, as its fit turns it.
 
     `level` is the mean value of the data, `groups` what groups its texels (`group_texels`), `log_specular`, `logit_tilt` and
-    `log_masking` the parameters of the tables; None is a part that is not there.
+    `log_masking` the parameters of the tables, `log_exponent` that of Fresnel's rise (less 1); None is a part that is not there.
     """
 
     level: float = 1.0
     log_specular: Tensor | None = None
     logit_tilt: Tensor | None = None
     log_masking: Tensor | None = None
+    log_exponent: Tensor | None = None
     groups: Tensor | None = None
 
     @property
     def parameters(self) -> dict[str, Tensor]:
         """The parameters of the tables by the names of their maps."""
-        found = {"specular": self.log_specular, "tilt": self.logit_tilt, "masking": self.log_masking}
+        found = {"specular": self.log_specular, "tilt": self.logit_tilt, "masking": self.log_masking, EXPONENT: self.log_exponent}
         return {name: value for name, value in found.items() if value is not None}
 
     @property
@@ -80,8 +84,10 @@ def sample_runs(btf: Btf) -> list[slice]:
     return [slice(first, min(first + step, len(btf))) for first in range(0, len(btf), step)]
 
 
-def raw_maps(starts: dict[str, Tensor], parts: Parts, size: int, training: Training) -> dict[str, Tensor]:
-    """Return the unbounded parameters that stand for the maps, at their starting values."""
+def raw_maps(
+    starts: dict[str, Tensor], parts: Parts, size: int, training: Training, exponent: float | None = None
+) -> dict[str, Tensor]:
+    """Return the unbounded parameters that stand for the maps, at their starting values; one for an `exponent` of None."""
     dtype, mean = training.dtype, starts["mean"]
     generator = torch.Generator().manual_seed(training.seed)
     axis = (torch.arange(size, dtype=dtype) + 0.5) / size * 2 - 1
@@ -101,7 +107,9 @@ def raw_maps(starts: dict[str, Tensor], parts: Parts, size: int, training: Train
         "tilt": torch.logit(default_tilt(dtype).clamp(_LEVEL, 1 - _LEVEL)),
         "masking": _start_masking(starts["width"], parts.rotation),
     }
+    raw[EXPONENT] = torch.tensor([SCHLICK - 1], dtype=dtype).log()
     there = {"diffuse", "ambient", *parts.names} | ({"specular"} if parts.lobes else set())
+    there |= {EXPONENT} if exponent is None and "fresnel" in there else set()
     raw = {name: value for name, value in raw.items() if name in there}
     if parts.lobes > 1:
         known = training.shared_as(DistributionShared)
@@ -163,7 +171,9 @@ def _start_index(features: Tensor, lobes: int, groups: Tensor) -> Tensor:
     return (2 * chosen - 1).contiguous()
 
 
-_SPECS = {spec.name: spec for spec in (*distribution_specs(2, DISTRIBUTION_PARTS), AMBIENT)}
+# No map of the material, which holds it as an option: the rise towards grazing of what reflects a part of the light.
+_RISE = MapSpec(EXPONENT, "exponent of Fresnel's rise", layer_channels=1, low=1.0, constant=True)
+_SPECS = {spec.name: spec for spec in (*distribution_specs(2, DISTRIBUTION_PARTS), AMBIENT, _RISE)}
 
 
 def maps_of(raw: dict[str, Tensor]) -> dict[str, Tensor]:
