@@ -143,6 +143,11 @@ def nothing_measured() -> dict[str, Any]:
     return {part: NotMeasured(part, "measure='none' left the errors out", step) for part in SPLITS}
 
 
+def few_samples(btf: Btf) -> int:
+    """Return on how many samples quick figures stand."""
+    return max(_FEWEST, QUICK_TEXELS // (btf.height * btf.width))
+
+
 def evaluate_parts(
     btf: Btf, material: Material, split: Split, progress: bool | None = False, quick: bool = False
 ) -> tuple[dict[str, Any], Evaluation | None]:
@@ -151,7 +156,7 @@ def evaluate_parts(
     On all held-out samples and some that the fit saw, or of both on few, `quick`.
     """
     texels = btf.height * btf.width
-    few = max(_FEWEST, QUICK_TEXELS // texels) if quick else None
+    few = few_samples(btf) if quick else None
     some = min(few or _TRAIN_SAMPLES, _TRAIN_SAMPLES, max(_FEWEST, TRAIN_TEXELS // texels))
     report: dict[str, Any] = {"train": evaluate(material, btf, split.train, some, progress).report}
     held_out = evaluate(material, btf, split.held_out, few, progress) if len(split.held_out) else None

@@ -47,6 +47,13 @@ def object_text(mask: str, share: float) -> str:
     return f"{100 * share:.1f} % of the texels, by {mask}; the others count nowhere"
 
 
+def test_text(source: Mapping[str, Any]) -> str:
+    """Return what test images are, in words."""
+    known = source["pairs_in_data"]
+    also = f"; the data has the pair of light and view of {known} of them too" if known else ""
+    return f"{source['samples']} photographs from {source['path']}{also}"
+
+
 def to_json(value: Any) -> str:
     """Return indented JSON; what is not finite becomes null."""
     return json.dumps(_plain(value), indent=1, ensure_ascii=False, allow_nan=False)
@@ -79,7 +86,7 @@ def interval_text(interval: Sequence[float] | None) -> str:
     return number(None) if interval is None else f"{number(interval[0])} to {number(interval[1])}"
 
 
-_MEASURED = ("train", "held_out", "held_out_after_export")
+_MEASURED = ("train", "held_out", "held_out_after_export", "test", "test_after_export")
 _REFITTED = ("train_before", "train_after", "held_out_before", "held_out_after")
 
 
@@ -136,7 +143,7 @@ def summary_table(report: dict[str, Any]) -> str:
 def measured_rows(report: dict[str, Any]) -> list[list[Any]]:
     """Return on how many images the figures of each part stand, and SSIM and delta E on how much of how many."""
     rows = []
-    for name in ("train", "held_out"):
+    for name in ("train", "held_out", "test"):
         part = report.get(name) or {}
         if "perceptual_samples" in part:
             size, whole = part["perceptual_size"], [report["source"]["height"], report["source"]["width"]]

@@ -28,7 +28,8 @@ FIGURES = {
     "mse": Figure("Mean squared error", LOWER, "In linear light, where 1 is white."),
 }
 PARTS = {"train": "photographs the fit saw", "held_out": "unseen photographs", "held_out_after_export": "unseen, as the textures hold it",
-         "held_out_after_packing": "unseen, packed"}
+         "held_out_after_packing": "unseen, packed", "test": "test photographs, none of the data",
+         "test_after_export": "test, as the textures hold it"}
 COMPARED = {
     "model": Figure("Model", "", "The model and its options, as the command line takes them."),
     "solver": Figure("Solver", "", "How its numbers are found."),
@@ -59,7 +60,8 @@ STOPPED = {
     "not finite": "its numbers left the range that can be computed with", "diverged": "the error grew instead of falling",
 }
 SOLVERS = {"lm": "Levenberg-Marquardt", "varpro": "variable projection", "lbfgs": "L-BFGS", "adam": "Adam"}
-SPLITS = {"pair": "pairs of light and view", "light": "whole lights", "view": "whole views", "arc": "arcs of directions"}
+SPLITS = {"pair": "pairs of light and view", "light": "whole lights", "view": "whole views",
+          "both": "new light and new view", "arc": "arcs of directions"}
 GEOMETRIES = {"flat": "flat", "recover": "recovered from the photographs", "given": "a given height map"}
 # The unit of what a map holds; what has none here is a plain number.
 _UNITS = {
