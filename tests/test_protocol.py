@@ -72,6 +72,7 @@ def test_what_stands_is_not_measured_again(protocol, tmp_path):
     assert asked == ["b"] and rows[:4] == first and len(rows) == 8
     protocol.protocol(**ASKED, source=stops)  # nothing is left to measure
     other = protocol.protocol(**{**ASKED, "data": ["a"], "settings": {**FLAT, "storage": "half"}}, source=tiny)
+    assert all(row["bytes"] > first[0]["bytes"] for row in other[8:])
     assert len(other) == 12  # other settings are other rows
     assert len(protocol.protocol(**{**ASKED, "data": ["a"], "ways": ["pair"]}, source=tiny, again=True)) == 12
 
@@ -82,6 +83,14 @@ def test_a_row_that_failed_says_why_and_is_tried_again(protocol, tmp_path):
         (row,) = protocol.protocol(**asked, source=tiny)
         assert "Use at most" in row["failed"]
     assert protocol.summary([row]) == []
+
+
+def test_a_setting_reaches_the_models_that_have_it(protocol):
+    asked = {**ASKED, "data": ["a"], "models": ["texture", "hsh"], "ways": ["pair"]}
+    rows = protocol.protocol(**{**asked, "settings": {**FLAT, "terms": 4}}, source=tiny)
+    assert not any("failed" in row for row in rows) and rows[1]["bytes"] == 4 * rows[0]["bytes"]
+    fewer = protocol.protocol(**asked, source=tiny)
+    assert fewer[3]["bytes"] == 9 * rows[0]["bytes"]
 
 
 def test_the_summary_pools_seeds_and_shows_directions_off_the_grid(protocol):

@@ -9,6 +9,7 @@ the exported material, 8 bits a channel.
 from __future__ import annotations
 
 import argparse
+import inspect
 import json
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -21,6 +22,8 @@ from measure import RESULTS, SHARED, save
 
 import torchmat as tm
 from torchmat.btf.split import ARC, HOLDOUT_WAYS
+from torchmat.errors import check_known_keys
+from torchmat.fitting.recipe import recipe_of
 from torchmat.report.comparison import parse_model
 from torchmat.text_file import parse_value
 
@@ -30,6 +33,7 @@ DATA = ("sample", *REFERENCES)
 MODELS = ("distribution", "microfacet", "neural", "lambert")
 WAYS = tuple(way for way in HOLDOUT_WAYS if way != ARC)
 SEEDS = (0, 1)
+_FIT = frozenset(inspect.signature(tm.fit).parameters)
 _KEY = ("data", "model", "settings", "by", "seed")
 
 
@@ -43,7 +47,9 @@ def load(name: str) -> tuple[tm.Btf, tm.Btf | None]:
 def measure(btf: tm.Btf, test: tm.Btf | None, model: str, settings: dict[str, Any], by: str, seed: int) -> dict[str, Any]:
     """Fit one model and return what its row says: errors of what 8-bit textures hold, bytes, seconds."""
     name, own = parse_model(model)
-    options = {"geometry": "recover", "storage": "png8", **settings, **own}
+    # What another model alone has, such as an effort, is none of this one's.
+    given = {key: value for key, value in settings.items() if key in _FIT or key in recipe_of(name).options}
+    options = {"geometry": "recover", "storage": "png8", **given, **own}
     start = time.perf_counter()
     result = tm.fit(btf, name, holdout_by=by, seed=seed, measure="none", progress=False, **options)
     seconds, report, exported = time.perf_counter() - start, result.report, result.material.as_exported()
@@ -150,12 +156,12 @@ def main() -> None:
     parser.add_argument("--models", nargs="+", default=MODELS, help="with options after a colon, as torchmat compare takes them")
     parser.add_argument("--by", nargs="+", default=WAYS, choices=WAYS)
     parser.add_argument("--seeds", nargs="+", type=int, default=SEEDS)
-    parser.add_argument("--set", action="append", default=[], metavar="OPTION=VALUE", help="an option of all models, or of the fit")
+    parser.add_argument("--set", action="append", default=[], metavar="OPTION=VALUE", help="an option of the fit, or of the models that have it")
     parser.add_argument("--again", action="store_true", help="measure anew what stands in the results")
     given = parser.parse_args()
-    for model in given.models:
-        parse_model(model)  # what is misspelt is said now
+    names = [parse_model(model)[0] for model in given.models]  # what is misspelt is said now
     settings = {name: parse_value(value) for name, _, value in (text.partition("=") for text in given.set)}
+    check_known_keys("--set", settings, (*_FIT, *(option for name in names for option in recipe_of(name).options)))
     protocol(given.data, given.models, given.by, given.seeds, settings, given.again)
 
 
