@@ -25,7 +25,7 @@ def sample_path(directions: str = "grid") -> Path:
     check_option("sample_path", "directions", directions, _FILES)
     path = Path(str(files("torchmat") / FOLDER / _FILES[directions]))
     if not path.is_file():
-        step = "Install the package again, or run scripts/make_sample.py."
+        step = f"Install the package again, or run scripts/make_sample.py{'' if directions == 'grid' else ' --random 36'}."
         raise DataError(message(str(path), "the embedded sample", "exist", "it is not there", step))
     return path
 
