@@ -22,10 +22,20 @@ from +x towards +y, polar is measured from z.  A value is pi * f_r *
 cos(light), so ideal white lit along its normal reads 1.  Every texel looks, at
 any view, at its own square of the plane z = 0.
 
+With ``--random N`` another file is written in their place:
+
+``sample_random.zip``
+    The same, of N pairs whose light and view are both drawn at random between
+    the directions of the sample's grid, at least 4 degrees from each and no
+    flatter than they are: what a fit makes of directions that no grid holds.
+    Some of the sample's own pairs are rendered again first and must agree with
+    the ``sample.zip`` beside it, so that both are of one material.
+
 To run it::
 
     pip install mitsuba tqdm OpenImageIO    # or: pip install 'torchmat[mitsuba]'
     python scripts/make_sample.py
+    python scripts/make_sample.py --random 36
 
 Mitsuba's LLVM variant is used where it works (about ten minutes on two cores),
 else the scalar one.
@@ -66,6 +76,13 @@ GLAZE_ALPHA = 0.17
 # The sample ships inside the package, so its images share a fixed budget.
 BYTES_PER_TEXEL = 1.45
 MAX_DWA_LEVEL = 500
+# Random directions keep so many degrees from those of the grid.
+OFF_GRID_DEG = 4.0
+# Paths of the random pairs are none of the sample's, whatever its seed.
+RANDOM_SEED = 1_000_000
+# Images of the sample that are rendered again, and by how much they may differ:
+# the error of its compression and the noise of its paths, of which this is twice.
+CHECKED, MOST_DIFFERENCE = 4, 2e-3
 
 # Linear diffuse albedos.
 LINEN = (0.64, 0.53, 0.40)
@@ -207,8 +224,11 @@ def truth(tile: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
     return {name: np.ascontiguousarray(m, dtype=np.float32) for name, m in maps.items()}
 
 
-def choose_variant() -> str:
-    """Set ``llvm_ad_rgb`` if LLVM can be loaded, else ``scalar_rgb``."""
+def choose_variant(scalar: bool = False) -> str:
+    """Set ``llvm_ad_rgb`` if LLVM can be loaded and nothing else is asked for, else ``scalar_rgb``."""
+    if scalar:
+        mi.set_variant("scalar_rgb")
+        return "scalar_rgb"
     try:
         mi.set_variant("llvm_ad_rgb")
         if float((mi.Float([1.0, 2.0]) + 1.0)[1]) == 3.0:
@@ -234,6 +254,20 @@ def unit(direction: tuple[float, float]) -> np.ndarray:
     return np.array(
         [np.sin(polar) * np.cos(azimuth), np.sin(polar) * np.sin(azimuth), np.cos(polar)]
     )
+
+
+def random_directions(count: int, random: np.random.Generator) -> list[tuple[float, float]]:
+    """Directions even over the solid angle that the grid spans, none of them near one of its own."""
+    grid = np.array([unit(direction) for direction in directions()])
+    flattest = math.cos(math.radians(RINGS[-1][0]))
+    found: list[tuple[float, float]] = []
+    while len(found) < count:
+        polar = math.degrees(math.acos(random.uniform(flattest, 1.0)))
+        # As the manifest has them, so that what is rendered is what is said.
+        direction = (round(polar, 2), round(random.uniform(0.0, 360.0), 2))
+        if (grid @ unit(direction)).max() < math.cos(math.radians(OFF_GRID_DEG)):
+            found.append(direction)
+    return found
 
 
 def sensor_matrix(view: np.ndarray) -> np.ndarray:
@@ -476,37 +510,84 @@ def truth_bytes(tile: dict[str, np.ndarray]) -> bytes:
     return buffer.getvalue()
 
 
+def archive_bytes(
+    pairs: list[tuple[tuple[float, float], tuple[float, float]]], images: list[np.ndarray], size: int
+) -> bytes:
+    """The zip of a manifest and its images, compressed alike whatever their number; says how much that costs."""
+    with tempfile.TemporaryDirectory() as folder:
+        coded, level = compress(images, int(BYTES_PER_TEXEL * size**2 * len(pairs)), folder)
+        error = relative_error(images, coded, folder)
+    print(f"{len(pairs)} images, dwab:{level}, relative squared error {error:.2e}")
+    entries = [(f"images/{i:05d}.exr", data) for i, data in enumerate(coded, start=1)]
+    return zip_bytes([("manifest.csv", manifest(pairs)), *entries])
+
+
+def make_sample(render: Renderer, tile: dict[str, np.ndarray], args: argparse.Namespace) -> None:
+    """Render the grid and write ``sample.zip`` and ``sample_truth.npz``."""
+    pairs = [(view, light) for view in directions() for light in directions()]
+    images = [
+        render(unit(view), unit(light), seed=args.seed * len(pairs) + index)
+        for index, (view, light) in enumerate(tqdm(pairs, desc="rendering", unit="image"))
+    ]
+    archive, maps = archive_bytes(pairs, images, args.size), truth_bytes(tile)
+    replace_file(args.out / "sample.zip", archive)
+    replace_file(args.out / "sample_truth.npz", maps)
+    print(f"sample.zip {len(archive) / 1e6:.2f} MB, sample_truth.npz {len(maps) / 1e6:.2f} MB")
+
+
+def check_same_material(render: Renderer, path: Path, seed: int) -> None:
+    """Raise unless some pairs of the sample at ``path``, rendered again by other paths, look as they do there."""
+    with zipfile.ZipFile(path) as archive, tempfile.TemporaryDirectory() as folder:
+        rows = list(csv.DictReader(io.StringIO(archive.read("manifest.csv").decode())))
+        chosen = np.random.default_rng(seed).choice(len(rows), CHECKED, replace=False)
+        for number in chosen:
+            row = rows[number]
+            view, light = (
+                (float(row[f"{what}_polar_deg"]), float(row[f"{what}_azimuth_deg"])) for what in ("view", "light")
+            )
+            image = render(unit(view), unit(light), seed=2 * RANDOM_SEED + int(number))
+            error = relative_error([image], [archive.read(row["file"])], folder)
+            print(f"{row['file']} again: relative squared difference {error:.2e}")
+            if error > MOST_DIFFERENCE:
+                raise RuntimeError(f"{path} is not of this material: {row['file']} differs by {error:.2e}")
+
+
+def make_random(render: Renderer, args: argparse.Namespace) -> None:
+    """Render random pairs of the sample's material and write ``sample_random.zip``."""
+    check_same_material(render, args.out / "sample.zip", args.seed)
+    random = np.random.default_rng(args.seed)
+    views, lights = random_directions(args.random, random), random_directions(args.random, random)
+    pairs = list(zip(views, lights))
+    images = [
+        render(unit(view), unit(light), seed=RANDOM_SEED + index)
+        for index, (view, light) in enumerate(tqdm(pairs, desc="rendering", unit="image"))
+    ]
+    archive = archive_bytes(pairs, images, args.size)
+    replace_file(args.out / "sample_random.zip", archive)
+    print(f"sample_random.zip {len(archive) / 1e6:.2f} MB")
+
+
 def main() -> None:
-    """Render the sample and write its two files."""
+    """Render the sample and write its two files, or a set of random directions beside it."""
     parser = argparse.ArgumentParser(description="Path-trace torchmat's sample BTF.")
     data_folder = Path(__file__).resolve().parents[1] / "torchmat" / "data"
     parser.add_argument("--out", type=Path, default=data_folder, help="folder to write to")
     parser.add_argument("--size", type=int, default=64, help="texels on a side")
     parser.add_argument("--spp", type=int, default=576, help="paths per texel and image")
     parser.add_argument("--seed", type=int, default=0, help="seed of the grain and the paths")
+    parser.add_argument("--random", type=int, default=0, metavar="N", help="N pairs of random directions instead")
+    parser.add_argument("--scalar", action="store_true", help="without LLVM, where an old one ends the process")
     args = parser.parse_args()
 
-    print(f"Mitsuba variant: {choose_variant()}")
+    print(f"Mitsuba variant: {choose_variant(args.scalar)}")
     check_conventions()
     tile = design(args.size * VERTICES_PER_TEXEL, args.seed)
     render = Renderer(tile, args.size, args.spp)
-    pairs = [(view, light) for view in directions() for light in directions()]
-    images = [
-        render(unit(view), unit(light), seed=args.seed * len(pairs) + index)
-        for index, (view, light) in enumerate(tqdm(pairs, desc="rendering", unit="image"))
-    ]
-    limit = int(BYTES_PER_TEXEL * args.size**2 * len(pairs))
-    with tempfile.TemporaryDirectory() as folder:
-        coded, level = compress(images, limit, folder)
-        error = relative_error(images, coded, folder)
-    entries = [(f"images/{i:05d}.exr", data) for i, data in enumerate(coded, start=1)]
-
     args.out.mkdir(parents=True, exist_ok=True)
-    archive, maps = zip_bytes([("manifest.csv", manifest(pairs)), *entries]), truth_bytes(tile)
-    replace_file(args.out / "sample.zip", archive)
-    replace_file(args.out / "sample_truth.npz", maps)
-    print(f"{len(pairs)} images, dwab:{level}, relative squared error {error:.2e}")
-    print(f"sample.zip {len(archive) / 1e6:.2f} MB, sample_truth.npz {len(maps) / 1e6:.2f} MB")
+    if args.random:
+        make_random(render, args)
+    else:
+        make_sample(render, tile, args)
 
 
 if __name__ == "__main__":

@@ -56,5 +56,9 @@ def _image(btf, view: int, light: int):
 
 def test_missing_sample_is_said(monkeypatch):
     monkeypatch.setattr("torchmat.sample.FOLDER", "nowhere")
-    with pytest.raises(tm.DataError, match="make_sample"):
+    with pytest.raises(tm.DataError, match="make_sample.py.$"):
         tm.sample_path()
+    with pytest.raises(tm.DataError, match="make_sample.py --random 36"):
+        tm.sample_path("random")
+    with pytest.raises(tm.RangeError, match="directions must be one of 'grid', 'random'"):
+        tm.sample_path("rings")

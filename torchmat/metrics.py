@@ -3,7 +3,7 @@
 Predictions and targets are linear RGB planes [k, 3, H, W] in the package's value convention.
 
 - `mse`: mean squared linear error.
-- `relative_error`: sum (p - t)^2 / sum t^2, linear.
+- `relative_error`: sum (p - t)^2 / sum t^2, linear; `relative_error_interval` its 95 % interval over images drawn anew.
 - `psnr_db`: peak 1, after clamping to [0, 1] and sRGB encoding; pooled over all samples; capped at 200 dB.
 - `psnr_log_db`: peak 1, after the mu-law log(1 + mu v) / log(1 + mu), mu = 5000, usual for HDR images (Kalantari and
   Ramamoorthi 2017): sees dark texels beside highlights that `psnr_db` clamps.
@@ -23,6 +23,7 @@ import torch
 from torch import Tensor
 
 from torchmat import colour
+from torchmat.bootstrap import ratio_interval
 
 _MU = 5000.0
 _CAP_DB = 200.0
@@ -128,6 +129,13 @@ class SampleErrors:
             "mse": squared / count, "relative_error": relative(squared, energy),
             "psnr_db": psnr(display / count), "psnr_log_db": psnr(log / count),
         }
+
+    def relative_error_interval(self) -> list[float] | None:
+        """Return the 95 % interval of the relative error over images drawn anew (`ratio_interval`), or None."""
+        if not self.squared:
+            return None
+        found = ratio_interval(torch.cat(self.squared).numpy(), torch.cat(self.energy).numpy())
+        return None if found is None else list(found)
 
     def report(self) -> dict[str, float | None]:
         """Return all six figures."""

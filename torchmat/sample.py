@@ -7,19 +7,25 @@ from pathlib import Path
 
 import numpy as np
 
-from torchmat.errors import DataError, message
+from torchmat.errors import DataError, check_option, message
 
 FOLDER = "data"
+_FILES = {"grid": "sample.zip", "random": "sample_random.zip"}
 
 
-def sample_path() -> Path:
+def sample_path(directions: str = "grid") -> Path:
     """Return the path of the embedded BTF: 25 views x 25 lights, 64 x 64 texels, path-traced, linear.
 
     Made by ``scripts/make_sample.py`` with Mitsuba 3.
+
+    Args:
+        directions: "grid", or "random" for 36 images of the same material whose light and view were both drawn at random
+            between those of the grid, at least 4 degrees from each: to test a fit on, ``tm.fit(btf, model, test=...)``.
     """
-    path = Path(str(files("torchmat") / FOLDER / "sample.zip"))
+    check_option("sample_path", "directions", directions, _FILES)
+    path = Path(str(files("torchmat") / FOLDER / _FILES[directions]))
     if not path.is_file():
-        step = "Install the package again, or run scripts/make_sample.py."
+        step = f"Install the package again, or run scripts/make_sample.py{'' if directions == 'grid' else ' --random 36'}."
         raise DataError(message(str(path), "the embedded sample", "exist", "it is not there", step))
     return path
 

@@ -58,4 +58,7 @@ def save(name: str, rows: list[dict[str, Any]]) -> None:
     """Write the rows of one suite as ``results/NAME.json``."""
     RESULTS.mkdir(exist_ok=True)
     text = json.dumps({"machine": machine(), "rows": rows}, indent=1, ensure_ascii=False)
-    (RESULTS / f"{name}.json").write_text(text + "\n", encoding="utf-8")
+    path = RESULTS / f"{name}.json"
+    part = path.with_name(path.name + ".part")  # a run that is stopped leaves the rows before it
+    part.write_text(text + "\n", encoding="utf-8")
+    os.replace(part, path)

@@ -13,6 +13,7 @@ import compiled
 import finish
 import meshes
 import objects
+import protocol
 import reliefs
 import scale
 import scene
@@ -214,6 +215,7 @@ SUITES = {
     "geometry": reliefs.geometry, "relief": reliefs.relief, "distribution": reliefs.distribution,
     "finish": finish.finish, "compiled": compiled.measure, "auto": auto.auto, "scale": scale.scale, "scene": scene.scene,
     "shading_maps": shading_maps.shading_maps,
-    "objects": objects.objects, "meshes": meshes.meshes, "compare": compare.compare, "solvers": solvers.solvers, "busy": busy.busy, "signs": signs.signs,
+    "objects": objects.objects, "meshes": meshes.meshes, "compare": compare.compare, "solvers": solvers.solvers,
+    "protocol": protocol.protocol, "busy": busy.busy, "signs": signs.signs,
     "sphere_images": spheres.sphere_images, "sphere_sizes": spheres.sphere_sizes, "sphere_shading": spheres.sphere_shading,
 }

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from itertools import groupby
 
+import protocol
 from measure import RESULTS
 
 from torchmat.report.tables import comparison_table, number, text_table
@@ -42,6 +43,14 @@ def comparisons() -> None:
         print(comparison_table([row for row in rows if row["data"] == data]))
 
 
+def protocols() -> None:
+    """Print the protocol of accuracy: what no fit saw, by pair, light, view, both, and off the grid."""
+    rows = _rows(protocol.NAME)
+    if rows:
+        print(f"\n### {protocol.NAME}\n")
+        print(text_table(protocol.HEAD, protocol.summary(rows)))
+
+
 def others() -> None:
     """Print every other suite as it is."""
     for name in ("pipeline", "loading", "shading", "large", "start_up", "geometry", "relief", "distribution", "shading_maps",
@@ -58,4 +67,5 @@ def others() -> None:
 if __name__ == "__main__":
     accuracy()
     comparisons()
+    protocols()
     others()

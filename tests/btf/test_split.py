@@ -75,6 +75,31 @@ def test_share_out_of_range(small_btf, share):
         split_samples(small_btf, share)
 
 
+def test_by_both_light_and_view_are_new(small_btf):
+    split = split_samples(small_btf, 0.2, "both")
+    assert (len(split.held_out), len(split.train)) == (4 * 4, 18 * 18)  # round(0.2 x 22) of each
+    for index in (small_btf.light_index, small_btf.view_index):
+        assert not set(index[split.train].tolist()) & set(index[split.held_out].tolist())
+    by_light = split_samples(small_btf, 0.2, "light")
+    assert set(split.held_out.tolist()) < set(by_light.held_out.tolist())  # the same lights
+    assert torch.equal(split.held_out, split_samples(small_btf, 0.2, "both").held_out)
+
+
+def test_by_both_some_of_both_kinds_must_have_been_measured():
+    one = Btf.from_tensors(torch.ones(2, 3, 1, 1), [UP, TILTED], [UP, UP])
+    with pytest.raises(RangeError, match="at least two views"):
+        split_samples(one, 0.2, "both")
+    diagonal = Btf.from_tensors(torch.ones(2, 3, 1, 1), [UP, TILTED], [UP, TILTED])
+    found = set()
+    for seed in range(8):
+        try:
+            found.add(tuple(split_samples(diagonal, 0.5, "both", seed).held_out.tolist()))
+        except RangeError as error:
+            assert "have samples of both kinds; 0 samples are of kept lights and views, 0 of held-out ones" in str(error)
+            found.add("refused")
+    assert found == {(0,), (1,), "refused"}
+
+
 def test_unknown_way(small_btf):
     with pytest.raises(RangeError, match="Did you mean 'light'"):
         split_samples(small_btf, 0.2, "lights")

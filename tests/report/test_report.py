@@ -18,7 +18,7 @@ from torchmat.report import compare, write_comparison, write_fit
 from torchmat.report.comparison import parse_model
 from torchmat.report.describe import describe_btf, describe_material, is_material
 from torchmat.report.pictures import directions_picture
-from torchmat.report.tables import COMPARE_COLUMNS, number, stopped_text, text_table, to_json
+from torchmat.report.tables import COMPARE_COLUMNS, comparison_table, error_table, number, stopped_text, text_table, to_json
 
 LIGHT, VIEW = all_pairs(hemisphere(), hemisphere(((0, 1), (60, 3))))
 
@@ -107,10 +107,20 @@ def test_a_row_holds_error_bytes_and_seconds(btf):
         report = row["report"]
         assert row["failed"] is None and row["relative_error"] == report["held_out"]["relative_error"]
         assert row["relative_error_after_export"] == report["held_out_after_export"]["relative_error"]
+        assert [row["relative_error_low"], row["relative_error_high"]] == report["held_out"]["relative_error_interval"]
+        assert f"{number(row['relative_error_low'])} to {number(row['relative_error_high'])}" in comparison_table(rows)
         assert row["bytes_per_texel"] == {"texture": 6, "hsh": 12}[report["model"]]
         assert row["fit_seconds"] > 0 and row["shade_mtexels_per_s"] > 0
         assert set(COMPARE_COLUMNS) <= set(row)
     assert rows[1]["report"]["options"] == {"terms": 4, "space": "linear", "storage": "png8", "solver": "closed_form", "objective": "linear"}
+
+
+def test_the_interval_of_the_error_stands_in_the_table_of_a_fit(btf):
+    report = tm.fit(btf, "texture").report
+    low, high = report["held_out"]["relative_error_interval"]
+    assert low <= report["held_out"]["relative_error"] <= high
+    line = next(line for line in error_table(report).splitlines() if "interval" in line)
+    assert f"{number(low)} to {number(high)}" in line and line.count(" to ") == 3
 
 
 def test_one_split_for_all(btf):

@@ -1,4 +1,4 @@
-"""Which samples a fit never sees: by pair, by light or by view, from a seed; or all but one arc of lights."""
+"""Which samples a fit never sees: by pair, by light, by view or by both, from a seed; or all but one arc of lights."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from torchmat import frames
 from torchmat.btf.btf import Btf
 from torchmat.errors import RangeError, check_option, message
 
-ARC = "arc"
-HOLDOUT_WAYS = ("pair", "light", "view", ARC)
+BOTH, ARC = "both", "arc"
+HOLDOUT_WAYS = ("pair", "light", "view", BOTH, ARC)
 _ARC_VIEW_DEG, _ARC_LIGHT_DEG = 5.0, 1.0
 
 
 class Split(NamedTuple):
-    """Sample indices, ascending: `train` [n] and `held_out` [m]."""
+    """Sample indices, ascending: `train` [n] and `held_out` [m]; by "both" some samples are in neither."""
 
     train: Tensor
     held_out: Tensor
@@ -52,6 +52,27 @@ def _arc(btf: Btf) -> Split:
     return Split(chosen.nonzero()[:, 0], (~chosen).nonzero()[:, 0])
 
 
+def _chosen(group: Tensor, share: float, by: str, generator: torch.Generator) -> Tensor:
+    """Return which samples, bool [n], are of the groups that are drawn to be held out."""
+    count = int(group.max()) + 1
+    if count < 2:
+        step = "Hold out in another way, or pass holdout=0."
+        raise RangeError(message("split_samples", "the data", f"have at least two {by}s to hold one out", "it has one", step))
+    drawn = torch.randperm(count, generator=generator)[: min(max(1, round(share * count)), count - 1)]
+    return torch.isin(group, drawn)
+
+
+def _both(btf: Btf, share: float, generator: torch.Generator) -> Split:
+    """Return the samples whose light and view are both kept, and those whose light and view are both held out."""
+    light, view = (_chosen(group, share, by, generator) for group, by in ((btf.light_index, "light"), (btf.view_index, "view")))
+    parts = (~light & ~view, light & view)
+    if not all(bool(part.any()) for part in parts):
+        fact = f"{int(parts[0].sum())} samples are of kept lights and views, {int(parts[1].sum())} of held-out ones"
+        step = "Where few pairs were measured give another seed or a larger holdout, or hold out by light or by view."
+        raise RangeError(message("split_samples", "the data", "have samples of both kinds", fact, step))
+    return Split(*(part.nonzero()[:, 0] for part in parts))
+
+
 def split_samples(btf: Btf, share: float = 0.2, by: str = "pair", seed: int = 0) -> Split:
     """Hold out some of the samples, so that a fit can be measured on what it never saw.
 
@@ -60,12 +81,14 @@ def split_samples(btf: Btf, share: float = 0.2, by: str = "pair", seed: int = 0)
     Args:
         btf: the images.
         share: share of the groups to hold out, in [0, 1); 0 holds out nothing.
-        by: what a group is: "pair", "light" (every image under it) or "view"; "arc" keeps what a shading map is photographed
+        by: what a group is: "pair", "light" (every image under it) or "view"; "both" holds out `share` of the lights and of the
+            views: measured is where light and view are both new, fitted where neither is, and the rest is left out of both,
+            so that of a full grid share^2 is measured and (1 - share)^2 fitted; "arc" keeps what a shading map is photographed
             from, one view along the normal under lights at azimuth 0, and holds out everything else, whatever `share` and
             `seed`, unless `share` is 0.
         seed: chooses the groups, from 0.
 
-    Raises RangeError when the data has only one such group, or fewer than two samples on the arc.
+    Raises RangeError when the data has only one such group, no samples of both kinds, or fewer than two on the arc.
     """
     where = "split_samples"
     check_option(where, "by", by, HOLDOUT_WAYS)
@@ -77,12 +100,9 @@ def split_samples(btf: Btf, share: float = 0.2, by: str = "pair", seed: int = 0)
         return Split(everything, everything[:0])
     if by == ARC:
         return _arc(btf)
-    group = {"pair": _pairs, "light": lambda data: data.light_index, "view": lambda data: data.view_index}[by](btf)
-    count = int(group.max()) + 1
-    if count < 2:
-        step = "Hold out in another way, or pass holdout=0."
-        raise RangeError(message(where, "the data", f"have at least two {by}s to hold one out", "it has one", step))
     generator = torch.Generator().manual_seed(seed)
-    chosen = torch.randperm(count, generator=generator)[: min(max(1, round(share * count)), count - 1)]
-    held = torch.isin(group, chosen)
+    if by == BOTH:
+        return _both(btf, share, generator)
+    group = {"pair": _pairs, "light": lambda data: data.light_index, "view": lambda data: data.view_index}[by](btf)
+    held = _chosen(group, share, by, generator)
     return Split(everything[~held], everything[held])

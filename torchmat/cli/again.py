@@ -58,6 +58,9 @@ def run_of(config, data: str, scenes: Sequence[Path], btf, command: Sequence[str
     if config.geometry is not None and is_path(config.geometry):
         table["geometry"] = os.path.abspath(config.geometry)
         used.append(table["geometry"])
+    if config.test is not None and os.path.exists(config.test):
+        table["test"] = os.path.abspath(config.test)
+        used.append(table["test"])
     return {
         "command": list(command), "config": table, "digest": btf.digest(), "scenes": scene_files,
         "data": os.path.abspath(data) if os.path.exists(data) else data,

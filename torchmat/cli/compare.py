@@ -41,7 +41,7 @@ class Compare:
     holdout: float = 0.2
     """Share of samples held out."""
     holdout_by: str = "pair"
-    """pair, light, view or arc."""
+    """pair, light, view, both or arc."""
     seed: int = 0
     """Seed of the split and of the solvers."""
     read: Annotated[DataArguments, tyro.conf.arg(name="")] = field(default_factory=DataArguments)

@@ -18,7 +18,7 @@ from torchmat.cli.known import MEASURES
 class Fit:
     """Fit a material to a BTF and write it with its report and pictures."""
 
-    reads: ClassVar = ("given", "data")
+    reads: ClassVar = ("given", "data", "test")
     words: ClassVar = {"measure": MEASURES}
 
     model: Annotated[str | None, tyro.conf.Positional, tyro.conf.arg(metavar="MODEL|CONFIG")] = None
@@ -43,6 +43,9 @@ class Fit:
     """flat, recover, or the path of a height map (default: the config's, or the model's own)."""
     seed: int | None = None
     """Seed of the split into training and held-out samples, and of the solvers."""
+    test: str | None = None
+    """Other images of the same texels, measured and never fitted: directions beside those of the data. `sample`: the random
+    ones that ship with it."""
     psnr: float | None = None
     """Of auto: dB wanted on held-out samples."""
     error: float | None = None
@@ -67,7 +70,7 @@ class Fit:
 
     def _flags(self) -> list[str]:
         """Return the flags that were given as keys of a config; they win over --set."""
-        keys = ("geometry", "seed", "target.psnr", "target.error", "target.bytes", "target.highlights", "target.seconds")
+        keys = ("geometry", "seed", "test", "target.psnr", "target.error", "target.bytes", "target.highlights", "target.seconds")
         given = {key: getattr(self, key.removeprefix("target.")) for key in keys}
         return [f"{key}={json.dumps(value, ensure_ascii=False)}" for key, value in given.items() if value is not None]
 

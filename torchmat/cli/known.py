@@ -10,7 +10,8 @@ import sys
 Bound = tuple[str, float, float]  # what a number must do, and the least and the largest that does
 
 CONFIG_KEYS = (
-    "model", "options", "holdout", "holdout_by", "seed", "geometry", "relief", "finish", "indirect", "tiles", "target",
+    "model", "options", "holdout", "holdout_by", "seed", "test", "geometry", "relief", "finish", "indirect", "tiles",
+    "target",
     "tile_size", "memory_mb", "data",
 )
 OPTIONS: dict[str, tuple[str, ...]] = {
@@ -63,7 +64,7 @@ CHOICES: dict[str, dict[str, tuple[object, ...]]] = {
 STORAGES = ("half", "float", "png8", "png16", "tiff8", "tiff16", "paint8", "paint16")
 ENCODINGS = ("auto", "srgb", "linear", "xyz")
 KINDS = ("manifest", "rti", "ubo2003", "utia", "stereo", "brdf")
-HOLDOUT_WAYS = ("pair", "light", "view", "arc")
+HOLDOUT_WAYS = ("pair", "light", "view", "both", "arc")
 MEASURES = ("none", "quick", "full")
 FILTERS = ("bilinear", "nearest", "area")
 INTEGRATIONS, RELIEF_DEPTHS, PACK_DEPTHS = ("fourier", "poisson"), ("16", "float"), (8, 16)

@@ -41,7 +41,7 @@ class Refit:
     holdout: float | None = None
     """Share of samples held out (default: as the material's first fit had it, else 0.2)."""
     holdout_by: str | None = None
-    """pair, light, view or arc (default: as the material's first fit had it, else pair)."""
+    """pair, light, view, both or arc (default: as the material's first fit had it, else pair)."""
     seed: int | None = None
     """Seed of the split and of the steps (default: that of the material's first fit, else 0)."""
     force: bool = False

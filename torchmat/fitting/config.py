@@ -34,8 +34,10 @@ class FitConfig:
         model: name of a registered model, or "auto" for the choice among them.
         options: the model's options by name (`describe_model`); those left out have their defaults.
         holdout: share of the samples that the fit never sees and is measured on, in [0, 1).
-        holdout_by: what is held out: "pair", "light", "view" or "arc" (`split_samples`).
+        holdout_by: what is held out: "pair", "light", "view", "both" or "arc" (`split_samples`).
         seed: seed of the split and of the solvers, from 0.
+        test: path of other images of the same texels that are measured and never fitted, or "sample" for the random directions
+            beside the embedded one; None is none.
         geometry: "flat", "recover", or the path of a height map; None is the model's own way (`Recipe.geometry`), and
             of the model "auto" leaves the relief to the data.
         relief: how the surface is followed where it has a height, "fast" or "fine" (`Material`); None is fine for a whole fit
@@ -56,6 +58,7 @@ class FitConfig:
     holdout: float = 0.2
     holdout_by: str = "pair"
     seed: int = 0
+    test: str | None = None
     geometry: str | None = None
     relief: str | None = None
     finish: bool = True
@@ -104,8 +107,9 @@ class FitConfig:
 
 def _typed(where: str, table: dict[str, Any]) -> dict[str, Any]:
     kinds: dict[str, Any] = {
-        "model": str, "options": dict, "holdout": (int, float), "holdout_by": str, "seed": int, "geometry": str,
-        "relief": str, "finish": bool, "indirect": str, "tiles": (bool, str), "target": dict, "tile_size": int, "memory_mb": (int, float), "data": dict,
+        "model": str, "options": dict, "holdout": (int, float), "holdout_by": str, "seed": int, "test": str, "geometry": str,
+        "relief": str, "finish": bool, "indirect": str, "tiles": (bool, str), "target": dict, "tile_size": int,
+        "memory_mb": (int, float), "data": dict,
     }
     for key, value in table.items():
         if not isinstance(value, kinds[key]) or (isinstance(value, bool) and key not in ("tiles", "finish")):

@@ -30,7 +30,7 @@ _VALUES = 1_000_000  # values of one batch: larger ones leave the processor's ca
 
 
 class Evaluation(NamedTuple):
-    """`report` holds the six figures, `samples`, and `by_angle`; `per_sample` [n] the display error of each sample."""
+    """`report` holds the six figures, `relative_error_interval`, `samples`, and `by_angle`; `per_sample` [n] display errors."""
 
     report: dict[str, Any]
     per_sample: Tensor
@@ -49,6 +49,8 @@ def evaluate(
 ) -> Evaluation:
     """Measure a material against samples of a BTF: errors pooled, by polar angle, and of each sample.
 
+    The relative error has its 95 % interval beside it, over samples drawn anew: a few near-mirror images can decide it.
+
     Args:
         material: the material; one that is smaller than the images, or a part of them, is brought to theirs.
         btf: the images.
@@ -65,7 +67,9 @@ def evaluate(
     if perceptual:
         looked_at[torch.linspace(0, len(indices) - 1, count).round().long()] = True
     errors = sample_errors(material, btf, indices, looked_at, progress, (rows, columns))
-    report: dict[str, Any] = {"samples": len(indices), **errors.report()}
+    report: dict[str, Any] = {
+        "samples": len(indices), **errors.report(), "relative_error_interval": errors.relative_error_interval(),
+    }
     if perceptual:
         report |= {"perceptual_samples": count, "perceptual_size": [rows.stop - rows.start, columns.stop - columns.start]}
     report["by_angle"] = _bands(errors, btf.light[indices], "light") + _bands(errors, btf.view[indices], "view")
@@ -139,6 +143,11 @@ def nothing_measured() -> dict[str, Any]:
     return {part: NotMeasured(part, "measure='none' left the errors out", step) for part in SPLITS}
 
 
+def few_samples(btf: Btf) -> int:
+    """Return on how many samples quick figures stand."""
+    return max(_FEWEST, QUICK_TEXELS // (btf.height * btf.width))
+
+
 def evaluate_parts(
     btf: Btf, material: Material, split: Split, progress: bool | None = False, quick: bool = False
 ) -> tuple[dict[str, Any], Evaluation | None]:
@@ -147,7 +156,7 @@ def evaluate_parts(
     On all held-out samples and some that the fit saw, or of both on few, `quick`.
     """
     texels = btf.height * btf.width
-    few = max(_FEWEST, QUICK_TEXELS // texels) if quick else None
+    few = few_samples(btf) if quick else None
     some = min(few or _TRAIN_SAMPLES, _TRAIN_SAMPLES, max(_FEWEST, TRAIN_TEXELS // texels))
     report: dict[str, Any] = {"train": evaluate(material, btf, split.train, some, progress).report}
     held_out = evaluate(material, btf, split.held_out, few, progress) if len(split.held_out) else None

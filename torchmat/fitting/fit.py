@@ -18,11 +18,11 @@ from torchmat.btf.lambert import lambert_of
 from torchmat.btf.lit import paired_lights
 from torchmat.btf.tiling import decided
 from torchmat.errors import RangeError, check_option, message
-from torchmat.fitting.choice.choose import fit_auto
 from torchmat.fitting.between import AUTO as LIGHT_AUTO
 from torchmat.fitting.between import MAP as LIGHT_MAP
+from torchmat.fitting.choice.choose import fit_auto
 from torchmat.fitting.config import FitConfig, load_config
-from torchmat.fitting.evaluate import MEASURES, evaluate, evaluate_parts, nothing_measured, shading_rate
+from torchmat.fitting.evaluate import MEASURES, evaluate, shading_rate
 from torchmat.fitting.from_material import check_free, fit_from, kept_names, onward_of
 from torchmat.fitting.geometry import AUTO_RELIEF, RECOVER, Geometry, Recover, resolve_geometry
 from torchmat.fitting.objective import described
@@ -34,6 +34,7 @@ from torchmat.fitting.scene.report import scene_figures
 from torchmat.fitting.tiles.fit import fit_tiled
 from torchmat.fitting.tiles.work import clear_work
 from torchmat.fitting.training import Fitted, Training, make_training
+from torchmat.fitting.unseen import measured, unseen_of, unseen_source
 from torchmat.fitting.wanted import beside_mask, make_target
 from torchmat.geometry import Relief
 from torchmat.machine import peak_memory_mb, versions
@@ -44,7 +45,7 @@ from torchmat.progress import working
 from torchmat.scene_use import SceneUse, Usable, as_use
 from torchmat.solvers.clock import Watch
 
-NONE, QUICK, FULL = MEASURES
+NONE, _, FULL = MEASURES
 _CURVE_SAMPLES = 400  # held-out ones that a curve is measured on; of a few, chance decides whether they hold a highlight
 
 
@@ -55,8 +56,8 @@ class FitResult:
     Args:
         material: the material, ready to shade, save and render.
         stop_reason: why the solver stopped, such as "converged", "step limit" or "budget spent".
-        report: what `report.json` holds: bytes, seconds, and the errors under "train", "held_out" and
-            "held_out_after_export".
+        report: what `report.json` holds: bytes, seconds, and the errors under "train", "held_out",
+            "held_out_after_export", and of test images "test" and "test_after_export".
         split: the numbers of the samples that were fitted and held out.
         coverage: [1, H, W], the share of the unknowns that each texel's samples determine; None where it has no meaning.
         held_out_errors: [m], the display error of each held-out sample; None if not all were measured.
@@ -82,6 +83,7 @@ def fit(
     holdout: float | None = None,
     holdout_by: str | None = None,
     seed: int | None = None,
+    test: Btf | str | Path | None = None,
     geometry: Geometry | str | Path | Tensor | np.ndarray | None = None,
     relief: str | None = None,
     finish: bool | None = None,
@@ -112,8 +114,11 @@ def fit(
             material: an instance of any Material, registered or not, whose maps then descend from what they are; a height
             and its ambient light stay as they are.
         holdout: share of the samples held out, in [0, 1); usually 0.2.
-        holdout_by: what is held out: "pair" (usual), "light", "view" or "arc" (`split_samples`).
+        holdout_by: what is held out: "pair" (usual), "light", "view", "both" or "arc" (`split_samples`).
         seed: seed of the split and of the solver, from 0; usually 0.
+        test: other images of the same texels, or the path of them, measured beside those held out and never fitted, such as
+            directions that the grid of `btf` does not hold; "sample" is ``sample_path("random")``. A path is read with those of the
+            config's [data] that say how pixels are read.
         geometry: "flat" takes texels for what they seem; "recover" finds height and normals from the training samples and
             puts the model on that relief, with parallax, shadow and ambient light, if that makes it better; a height map
             [1, H, W] in texture widths over the plane of the images, or the path of one, is taken as it is. None is the
@@ -151,6 +156,7 @@ def fit(
     given = {
         "holdout": holdout, "holdout_by": holdout_by, "seed": seed, "relief": relief, "finish": finish,
         "indirect": indirect, "tiles": tiles, "tile_size": tile_size, "memory_mb": memory_mb,
+        "test": None if isinstance(test, Btf) or test is None else str(test),
     }
     wanted = {"error": error, "psnr": psnr, "bytes": bytes, "seconds": seconds, "highlights": highlights}
     how = FULL if measure is True else NONE if measure is False else measure
@@ -164,6 +170,7 @@ def fit(
     else:
         task = _by_name(model, given, wanted, geometry, options, scene, work)
     config = task.config
+    other = unseen_of(btf, test if isinstance(test, Btf) else config.test, config.data, progress)
     split = split_samples(btf, config.holdout, config.holdout_by, config.seed)
     tiles, tiling = decided("fit", btf, config.tiles)
     watch = Watch(config.target.get("seconds", math.inf), _held_out_error(btf, split) if curve else None)
@@ -174,10 +181,7 @@ def fit(
             fitted = replace(fitted, material=cut_out(fitted.material, btf.mask))
         watch.note(lambda: fitted.material)
     seconds = watch.seconds
-    errors, held_out = nothing_measured(), None
-    if how != NONE:
-        with working("measuring", progress):
-            errors, held_out = evaluate_parts(btf, fitted.material, split, progress, quick=how == QUICK)
+    errors, held_out = measured(btf, other, fitted.material, split, how, progress)
     used = task.options if fitted.options is None else fitted.options
     ways = {"options": described(used), "geometry": task.geometry}
     figures = None if how == NONE else lambert_of(btf)
@@ -185,6 +189,7 @@ def fit(
         described_fit = _described(btf, config, fitted)
     report = {**described_fit, **ways, "fit_seconds": seconds, **errors, "curve": watch.history}
     report["lambert_residual"] = figures and figures.report()
+    report |= unseen_source(btf, other)
     report |= {"tiles": tiles, "tiling": tiling and tiling.report()}
     if task.scene is not None:
         report["scene"] = scene_figures(btf, fitted, split, task.scene, tiles, how != NONE, progress)
@@ -236,7 +241,7 @@ def _of_material(
     if material.dtype != dtype:
         step = f"Give dtype={material.dtype}, or convert the material with .to({dtype})."
         raise RangeError(message("fit a material", "dtype", f"be {material.dtype} as its maps are", f"it is {dtype}", step))
-    known = {name: value for name, value in given.items() if value is not None and name in ("holdout", "holdout_by", "seed")}
+    known = {name: value for name, value in given.items() if value is not None and name in ("holdout", "holdout_by", "seed", "test")}
     config = FitConfig(tiles=material.tiles, target={} if seconds is None else {"seconds": seconds}, **known)
     used = {"solver": how.solver.filled(), "objective": how.objective, "keep": kept}
     word = "given" if material.has_relief else "flat"

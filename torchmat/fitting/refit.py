@@ -64,7 +64,7 @@ def refit(
             fit.
         holdout: share of the samples that are measured and never fitted, in [0, 1); give that of the first fit, and its
             `holdout_by` and `seed`, or it has seen them.
-        holdout_by: "pair", "light", "view" or "arc" (`split_samples`).
+        holdout_by: "pair", "light", "view", "both" or "arc" (`split_samples`).
         seed: seed of the split and of the solver, from 0.
         progress: whether to show a bar; None shows it on a terminal.
 

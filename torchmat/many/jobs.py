@@ -13,8 +13,10 @@ from torchmat.fitting import FitConfig, load_config
 from torchmat.fitting.config import is_config
 from torchmat.fitting.objective import described
 from torchmat.fitting.recipes import AUTO, resolve_options
+from torchmat.fitting.unseen import SAMPLE
 from torchmat.geometry.tiling import AUTO_TILES
 from torchmat.report.tables import to_json
+from torchmat.sample import sample_path
 from torchmat.shipped import find_file
 from torchmat.text_file import read_toml
 
@@ -58,8 +60,15 @@ class Job:
         wanted = json.loads(to_json(wanted))  # as a report holds it
         report = {**report, "tiles": AUTO_TILES if report.get("tiling") else report.get("tiles")}  # as it was asked for
         same = chosen == (config.model == AUTO) and all(report.get(name) == value for name, value in wanted.items())
+        tested = (report.get("test_source") or {}).get("path")
+        same &= (tested is None) if config.test is None else tested is not None and _same_place(tested, config.test)
         source = report.get("source", {}).get("path", "")
         return report if same and Path(source).resolve() == self.data.resolve() else None
+
+
+def _same_place(found: str, asked: str) -> bool:
+    """Return whether test images that were measured are those that are asked for."""
+    return Path(found).resolve() == Path(asked).resolve() or (asked == SAMPLE and Path(found) == sample_path("random"))
 
 
 def jobs_of(

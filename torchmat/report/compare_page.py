@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 from torchmat.report.compare_rows import PICTURE_SIDE, judged
 from torchmat.report.inline import shown_size
 from torchmat.report.page import Markup, Picture, code, page, paragraph, plot, section, text
-from torchmat.report.tables import number
+from torchmat.report.tables import interval_text, number
 from torchmat.report.words import COMPARED, SOLVERS, figure_of, spaced, stopped
 
 _PLOTS = {
@@ -110,11 +110,20 @@ def _row(row: Mapping[str, Any], pictured: bool) -> str:
     cells = [_pair(row)] if pictured else []
     cells.append(Cell(_model(row), row["model"]).tag(True))
     for name in _NUMBERS:
-        spread = row.get("fit_seconds_spread") if name == "fit_seconds" else None
-        shown = number(row[name]) if spread is None else Markup(f'{number(row[name])} <span class="unit">± {number(spread / 2)}</span>')
+        beside = _beside(row, name)
+        shown = number(row[name]) if beside is None else Markup(f'{number(row[name])} <span class="unit">{beside}</span>')
         cells.append(Cell(shown, row[name]).tag(False))
     cells.append(Cell(Markup(f'<span class="mark">{text(front)}</span>') if front else "", front or None).tag(True))
     return f"<tr{' class=front' if front else ''}>{''.join(cells)}</tr>"
+
+
+def _beside(row: Mapping[str, Any], name: str) -> str | None:
+    """Return what stands in small beside a number: the spread of seconds, the interval of the error."""
+    if name == "fit_seconds" and row.get("fit_seconds_spread") is not None:
+        return f"± {number(row['fit_seconds_spread'] / 2)}"
+    if name == "relative_error" and row.get("relative_error_low") is not None:
+        return interval_text((row["relative_error_low"], row["relative_error_high"]))
+    return None
 
 
 def _model(row: Mapping[str, Any]) -> Markup:

@@ -21,7 +21,7 @@ from torchmat.machine import MemoryMark
 from torchmat.report.inline import data_uri
 from torchmat.report.pictures import thinned
 from torchmat.report.samples import shown
-from torchmat.report.tables import COMPARE_COLUMNS
+from torchmat.report.tables import COMPARE_COLUMNS, INTERVAL
 from torchmat.solvers import Solver, Stepping
 
 _COSTS = {"total_bytes_per_texel": "bytes", "fit_seconds": "seconds", "shade_mtexels_per_s": "shading"}
@@ -137,6 +137,7 @@ def _figures(btf: Btf, runs: list[tuple[FitResult, float | None]], quick: bool) 
     seconds = [one.report["fit_seconds"] for one, _ in runs]
     memory = [taken for _, taken in runs[: max(1, len(runs) - 1)] if taken is not None]
     held_out, after = report["held_out"] or report["train"], report["held_out_after_export"] or {}
+    low, high = held_out[INTERVAL] or (None, None)
     total = report["bytes_per_texel"] + report["shared_bytes"] / report["texels"]
     geometry = report["figures"].get("geometry", {}).get("chosen", report["geometry"])
     return {
@@ -146,7 +147,7 @@ def _figures(btf: Btf, runs: list[tuple[FitResult, float | None]], quick: bool) 
         "fit_seconds_spread": max(seconds) - min(seconds) if len(runs) > 1 else None,
         "fit_memory_mb": max(memory) if memory else None,
         "train_relative_error": report["train"]["relative_error"],
-        "relative_error": held_out["relative_error"], "psnr_db": held_out["psnr_db"],
+        "relative_error": held_out["relative_error"], "relative_error_low": low, "relative_error_high": high, "psnr_db": held_out["psnr_db"],
         "relative_error_after_export": after.get("relative_error"), "psnr_db_after_export": after.get("psnr_db"),
         **_repeated(btf, [one for one, _ in runs], held_out["relative_error"]),
         "repeats": seconds, "report": report, "picture": _picture(btf, result),

@@ -68,7 +68,7 @@ def compare(
         curves: whether rows of iterative solvers have the error on some held-out samples against seconds, measured off the
             clock.
         holdout: share of the samples held out, in [0, 1).
-        holdout_by: "pair", "light", "view" or "arc" (`split_samples`).
+        holdout_by: "pair", "light", "view", "both" or "arc" (`split_samples`).
         seed: seed of the split and of the solvers, from 0.
         measure: "full", errors on all held-out samples, or "quick", on some, about 2 million texels.
         progress: whether to show a bar; None shows it on a terminal.

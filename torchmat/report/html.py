@@ -15,7 +15,7 @@ from torchmat.report.map_cards import MOST, MapCard
 from torchmat.report.page import Markup, Picture, code, details, figure, listed, page, paragraph, plot, section, table, text
 from torchmat.report.pictures import DIFFERENCE_COLOURS, LARGEST, colour_strip, thinned
 from torchmat.report.samples import Shown, difference_range
-from torchmat.report.tables import measured_rows, number, object_text, scene_rows
+from torchmat.report.tables import INTERVAL, interval_text, measured_rows, number, object_text, scene_rows, test_text
 from torchmat.report.verdict import verdict
 from torchmat.report.words import FIGURES, GEOMETRIES, PARTS, SPLITS, spaced, stopped
 
@@ -103,10 +103,14 @@ def _figures(report: Mapping[str, Any]) -> Markup:
     if not parts:
         return paragraph("Errors were not measured.")
     rows = [
-        [Markup(f'{text(figure.name)}<br><span class="unit">{figure.better}</span>'), *(report[part].get(key) for part in parts), figure.meaning]
+        [Markup(f'{text(figure.name)}<br><span class="unit">{figure.better}</span>'), *(_cell(key, report[part].get(key)) for part in parts), figure.meaning]
         for key, figure in FIGURES.items()
     ]
     return table(["", *(PARTS[part] for part in parts), "what it says"], rows, words=(len(parts) + 1,))
+
+
+def _cell(key: str, value: Any) -> Any:
+    return interval_text(value) if key == INTERVAL else value
 
 
 def _bands(report: Mapping[str, Any]) -> Markup:
@@ -166,6 +170,7 @@ def _data(report: Mapping[str, Any]) -> list[list[Any]]:
         ["clipped, of all values", f"{100 * source['clipped_share']:.3g} %"],
         ["invalid, of all values", f"{100 * source['invalid_share']:.3g} %"],
         ["held out", f"{100 * report['holdout']:.3g} % of the photographs, by {SPLITS.get(report['holdout_by'], report['holdout_by'])}"],
+        *([["tested on", test_text(report["test_source"])]] if "test_source" in report else []),
         *([["object", object_text(source["object"]["mask"], source["object"]["share"])]] if "object" in source else []),
         *([row[0], row[1]] for row in measured_rows(dict(report))),
     ]

@@ -15,16 +15,17 @@ from torchmat.report.words import COMPARED
 from torchmat.solvers.stop_reasons import DIVERGED, NOT_FINITE
 
 FIGURES = ("relative_error", "psnr_db", "psnr_log_db", "ssim", "delta_e", "mse")
+INTERVAL = "relative_error_interval"
 COMPARE_MEANINGS = {name: figure.meaning for name, figure in COMPARED.items()}
 COMPARE_COLUMNS = tuple(COMPARE_MEANINGS)
 _ON_A_TERMINAL = (
     "model", "total_bytes_per_texel", "fit_seconds", "fit_seconds_spread", "fit_memory_mb", "shade_mtexels_per_s",
-    "train_relative_error", "relative_error", "psnr_db", "relative_error_after_export", "front",
+    "train_relative_error", "relative_error", "relative_error_low", "psnr_db", "relative_error_after_export", "front",
 )
 _SHORT = {
     "total_bytes_per_texel": "bytes/texel", "fit_seconds": "fit (s)", "fit_seconds_spread": "spread",
     "fit_memory_mb": "MB", "shade_mtexels_per_s": "Mtexel/s", "train_relative_error": "seen",
-    "relative_error": "unseen", "psnr_db": "dB", "relative_error_after_export": "exported",
+    "relative_error": "unseen", "relative_error_low": "95 % interval", "psnr_db": "dB", "relative_error_after_export": "exported",
 }
 
 
@@ -44,6 +45,13 @@ def _plain(value: Any) -> Any:
 def object_text(mask: str, share: float) -> str:
     """Return what an object mask says, in words."""
     return f"{100 * share:.1f} % of the texels, by {mask}; the others count nowhere"
+
+
+def test_text(source: Mapping[str, Any]) -> str:
+    """Return what test images are, in words."""
+    known = source["pairs_in_data"]
+    also = f"; the data has the pair of light and view of {known} of them too" if known else ""
+    return f"{source['samples']} photographs from {source['path']}{also}"
 
 
 def to_json(value: Any) -> str:
@@ -73,14 +81,20 @@ def text_table(header: Sequence[str], rows: Sequence[Sequence[Any]]) -> str:
     return "\n".join(lines)
 
 
-_MEASURED = ("train", "held_out", "held_out_after_export")
+def interval_text(interval: Sequence[float] | None) -> str:
+    """Return the two ends of an interval for reading, a dash for None."""
+    return number(None) if interval is None else f"{number(interval[0])} to {number(interval[1])}"
+
+
+_MEASURED = ("train", "held_out", "held_out_after_export", "test", "test_after_export")
 _REFITTED = ("train_before", "train_after", "held_out_before", "held_out_after")
 
 
 def error_rows(report: dict[str, Any], measured: Sequence[str] = _MEASURED) -> tuple[list[str], list[list[Any]]]:
-    """Return header and rows of the six figures on what a report has `measured`: train, held-out samples ..."""
+    """Return header and rows of the six figures, and of the relative error's interval, on what a report has `measured`: train, held-out samples ..."""
     columns = [name for name in measured if report.get(name)]
     rows = [[figure, *(report[name][figure] for name in columns)] for figure in FIGURES]
+    rows.insert(1, [INTERVAL.replace("_", " "), *(interval_text(report[name].get(INTERVAL)) for name in columns)])
     return ["", *(name.replace("_", " ") for name in columns)], rows
 
 
@@ -129,7 +143,7 @@ def summary_table(report: dict[str, Any]) -> str:
 def measured_rows(report: dict[str, Any]) -> list[list[Any]]:
     """Return on how many images the figures of each part stand, and SSIM and delta E on how much of how many."""
     rows = []
-    for name in ("train", "held_out"):
+    for name in ("train", "held_out", "test"):
         part = report.get(name) or {}
         if "perceptual_samples" in part:
             size, whole = part["perceptual_size"], [report["source"]["height"], report["source"]["width"]]
@@ -170,7 +184,14 @@ def fit_tables(report: dict[str, Any]) -> str:
 def comparison_table(rows: list[dict[str, Any]]) -> str:
     """Return the rows of a comparison as a table, the columns that fit on a terminal."""
     header = [_SHORT.get(column, column) for column in _ON_A_TERMINAL]
-    return text_table(header, [[row[column] for column in _ON_A_TERMINAL] for row in rows])
+    return text_table(header, [[_on_a_terminal(row, column) for column in _ON_A_TERMINAL] for row in rows])
+
+
+def _on_a_terminal(row: Mapping[str, Any], column: str) -> Any:
+    if column != "relative_error_low":
+        return row[column]
+    low, high = (row.get(name) for name in ("relative_error_low", "relative_error_high"))  # earlier results have none
+    return interval_text(None if low is None or high is None else (low, high))
 
 
 def write_csv(rows: list[dict[str, Any]], path: Path, columns: Sequence[str] = COMPARE_COLUMNS) -> None:

@@ -19,6 +19,8 @@ class Figure(NamedTuple):
 
 FIGURES = {
     "relative_error": Figure("Relative error", LOWER, "Squared error over squared brightness, in linear light: 0 is perfect, 1 is a black picture."),
+    "relative_error_interval": Figure("Relative error, 95 % interval", LOWER, "Between what it would lie had other photographs been "
+                                      "measured, drawn anew from these: wide where a few highlights decide it."),
     "psnr_db": Figure("PSNR, dB", HIGHER, "Peak over error as displayed: 20 dB is off by a tenth of white, 40 dB by a hundredth."),
     "psnr_log_db": Figure("PSNR of logarithms, dB", HIGHER, "The same in logarithms, where dark texels count as much as highlights."),
     "ssim": Figure("Structural similarity (SSIM)", HIGHER, "Whether patterns agree: 1 is alike, 0 unrelated."),
@@ -26,7 +28,8 @@ FIGURES = {
     "mse": Figure("Mean squared error", LOWER, "In linear light, where 1 is white."),
 }
 PARTS = {"train": "photographs the fit saw", "held_out": "unseen photographs", "held_out_after_export": "unseen, as the textures hold it",
-         "held_out_after_packing": "unseen, packed"}
+         "held_out_after_packing": "unseen, packed", "test": "test photographs, none of the data",
+         "test_after_export": "test, as the textures hold it"}
 COMPARED = {
     "model": Figure("Model", "", "The model and its options, as the command line takes them."),
     "solver": Figure("Solver", "", "How its numbers are found."),
@@ -41,6 +44,8 @@ COMPARED = {
     "shade_mtexels_per_s": Figure("Shading, million texels a second", HIGHER, "Million texels shaded a second under one light and view."),
     "train_relative_error": Figure("Relative error, seen", LOWER, "On photographs that the fit saw."),
     "relative_error": Figure("Relative error, unseen", LOWER, "On photographs that were held out, the same for all models."),
+    "relative_error_low": Figure("Relative error, unseen, at least", LOWER, "Where its 95 % interval begins, over photographs drawn anew."),
+    "relative_error_high": Figure("Relative error, unseen, at most", LOWER, "Where its 95 % interval ends."),
     "psnr_db": Figure("PSNR, dB, unseen", HIGHER, "Peak over error as displayed, on the same photographs."),
     "relative_error_after_export": Figure("Relative error, unseen, exported", LOWER, "The same of what the textures hold."),
     "psnr_db_after_export": Figure("PSNR, dB, unseen, exported", HIGHER, "The same of what the textures hold."),
@@ -55,7 +60,8 @@ STOPPED = {
     "not finite": "its numbers left the range that can be computed with", "diverged": "the error grew instead of falling",
 }
 SOLVERS = {"lm": "Levenberg-Marquardt", "varpro": "variable projection", "lbfgs": "L-BFGS", "adam": "Adam"}
-SPLITS = {"pair": "pairs of light and view", "light": "whole lights", "view": "whole views", "arc": "arcs of directions"}
+SPLITS = {"pair": "pairs of light and view", "light": "whole lights", "view": "whole views",
+          "both": "new light and new view", "arc": "arcs of directions"}
 GEOMETRIES = {"flat": "flat", "recover": "recovered from the photographs", "given": "a given height map"}
 # The unit of what a map holds; what has none here is a plain number.
 _UNITS = {
