@@ -106,6 +106,7 @@ def test_gradients_reach_factor_falloff_and_colour():
 def test_what_arrives_is_kept_until_height_or_colour_change(monkeypatch):
     calls = []
     honest = indirect.transfer
+    monkeypatch.setattr(indirect, "_TRANSFERS", indirect._Kept(2))
     monkeypatch.setattr(indirect, "transfer", lambda *given: calls.append(1) or honest(*given))
     material = lambert(indirect=torch.tensor([1.0], dtype=torch.float64))
     with torch.no_grad():

@@ -33,15 +33,14 @@ _COMPARING = 0.2  # of the seconds that are left, for each of the two fits that 
 
 def fit_on_relief(
     training: Training, model: str, options: dict[str, Any], height: Tensor, window: Window | None = None,
-    sight: Sight | None = None, given: bool = False,
+    sight: Sight | None = None,
 ) -> Fitted:
     """Fit a model to the samples on the surface of `height` and return it on that relief.
 
-    The height may move to where the model wants it, unless it was `given`. Of a `window` only its texels are fitted;
-    `sight` is that of the whole height where it is known.
+    The height stays as it is. Of a `window` only its texels are fitted; `sight` is that of the whole height where it is known.
     """
     height = height.to(training.dtype)
-    surface = replace(bring_onto(training, height, window=window, sight=sight), fixed=given)
+    surface = bring_onto(training, height, window=window, sight=sight)
     height = height if window is None else window.crop(height)
     fitted = recipe_of(model).run_on_relief(surface, height, options)
     if fitted is not None:
@@ -72,7 +71,7 @@ def fit_with_geometry(
     time is left for more the surface is flat: the reason is "budget spent" either way.
     """
     if isinstance(geometry, Given):
-        fitted = fit_on_relief(training, model, options, check_height(geometry.height, training.btf), given=True)
+        fitted = fit_on_relief(training, model, options, check_height(geometry.height, training.btf))
         return _finished(training, fitted, options, moves=False)
     if isinstance(geometry, Flat):
         return fit_flat(training, model, options)

@@ -8,8 +8,9 @@ hemispherical harmonics of the light so that any light, one for each pixel too, 
 
 from __future__ import annotations
 
+import hashlib
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 import torch
@@ -96,18 +97,37 @@ def arriving(transfer: Tensor, light: Tensor) -> Tensor:
 
 
 def transfer_of(material: Any) -> Tensor:
-    """Return the `transfer` [9, 3, H, W] of a material, kept until its height, colours or normals are others."""
-    maps = material.maps
-    sources = [maps[name] for name in ("height", material.diffuse_map, "normal") if name in maps]
-    if any(tensor.is_inference() for tensor in sources):
-        return transfer(maps["height"], maps[material.diffuse_map], material.tiles)
-    marks = [(id(tensor), tensor._version, tensor.data_ptr(), tensor.dtype) for tensor in sources]
+    """Return the `transfer` [9, 3, H, W] of a material, kept until its height or its colours are others."""
+    height, diffuse = (material.maps[name].detach() for name in ("height", material.diffuse_map))
+    if height.is_inference() or diffuse.is_inference():
+        return transfer(height, diffuse, material.tiles)
+    marks = [(one._version, one.data_ptr(), one.dtype, one.shape) for one in (height, diffuse)]
     kept = material.__dict__.get("_kept_transfer")
     if kept is None or kept[0] != marks:
-        # The tensors are kept as well: none of them can be freed and its number be another's.
-        kept = (marks, transfer(maps["height"], maps[material.diffuse_map], material.tiles), sources)
+        # The tensors are kept as well: else their place in memory could be another's.
+        kept = (marks, _TRANSFERS.of((height, diffuse), lambda: transfer(height, diffuse, material.tiles), material.tiles), height, diffuse)
         material.__dict__["_kept_transfer"] = kept
     return kept[1]
+
+
+class _Kept:
+    """What was made of tensors lately, by what these hold: materials that differ in other maps share it."""
+
+    def __init__(self, most: int) -> None:
+        self.most, self.found = most, dict[tuple[Any, ...], Any]()
+
+    def of(self, tensors: tuple[Tensor, ...], make: Callable[[], Any], *more: object) -> Any:
+        """Return what `make` makes of the tensors, or what it made of the same before."""
+        digests = [hashlib.blake2b(one.detach().contiguous().numpy().tobytes(), digest_size=16).digest() for one in tensors]
+        key = (*digests, *(tuple(one.shape) for one in tensors), *(one.dtype for one in tensors), *more)
+        if key not in self.found:
+            while len(self.found) >= self.most:
+                self.found.pop(next(iter(self.found)))
+            self.found[key] = make()
+        return self.found[key]
+
+
+_FACTORS, _TRANSFERS = _Kept(2), _Kept(4)
 
 
 @torch.no_grad()
@@ -122,7 +142,7 @@ def transfer(height: Tensor, diffuse: Tensor, tiles: bool) -> Tensor:
     size = (height.shape[-2], height.shape[-1])
     height, diffuse = _smaller(height), _smaller(diffuse.clamp(0, 1))
     with one_thread():
-        factors = form_factors(height, tiles)
+        factors = _FACTORS.of((height,), lambda: form_factors(height, tiles), tiles)
         light = _lights(height.dtype)
         cosine = (normals_from_slopes(slopes_from_height(height, tiles=tiles)) * light).sum(dim=1, keepdim=True).clamp(min=0)
         direct = soft_shadow(height, light, tiles=tiles) * cosine  # [l, 1, h, w]

@@ -43,8 +43,8 @@ def fit_flat_rung(training: Training, rung: Rung) -> Fitted:
     return fit_flat(replace(training, progress=False), rung.model, rung.settings)
 
 
-def fit_rung(training: Training, rung: Rung, height: Tensor | None, given: bool = False) -> Fitted:
-    """Fit one candidate, flat or on a relief, whose height stays where it was `given`."""
+def fit_rung(training: Training, rung: Rung, height: Tensor | None) -> Fitted:
+    """Fit one candidate, flat or on a relief."""
     if height is None:
         return fit_flat_rung(training, rung)
-    return fit_on_relief(replace(training, progress=False), rung.model, rung.settings, height, given=given)
+    return fit_on_relief(replace(training, progress=False), rung.model, rung.settings, height)

@@ -47,7 +47,6 @@ def fit_auto(training: Training, target: Target, geometry: Geometry) -> Fitted:
     given = check_height(geometry.height, training.btf).to(training.dtype) if isinstance(geometry, Given) else None
     climb = Climb(training, target)
     if given is not None:
-        climb.given = True
         climb.relief(given)
         _check_seconds(climb)
         for recipe in built_by_parts():
@@ -132,7 +131,7 @@ def _delivered(climb: Climb, recovery: Recovery | None) -> Fitted:
         best = climb.shrunk(best) if in_time else replace(best, shrunk=Shrunk(best.material, best.cost))
     fitted, material = best.fitted, best.material
     if not recipe_of(best.rung.model).iterates and not climb.watch.spent:
-        fitted = fit_rung(climb.knowing(climb.training, best), best.rung, best.height, climb.given)
+        fitted = fit_rung(climb.knowing(climb.training, best), best.rung, best.height)
         material = fitted.material.stored_at(material.stored)
     relief = recovery.relief if recovery is not None and best.height is not None else None
     reason = WITHIN if climb.limit is None else MET if climb.meets(best) else NOT_MET

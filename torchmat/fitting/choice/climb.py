@@ -50,7 +50,6 @@ class Climb:
         thin = of_some_texels(training)
         self.thin = None if thin is None else replace(self.part, btf=thin.btf)
         self._thin_examiner = self.examiner if thin is None else Examiner(thin, back)
-        self.given = False  # the height is the user's, and stays
         self.log = Decisions(lambda: self.watch.seconds)
         self.options: list[Option] = []
         self._bytes: WeakKeyDictionary[Material, float] = WeakKeyDictionary()

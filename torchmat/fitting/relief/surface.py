@@ -42,7 +42,7 @@ class Surface:
     """Samples on the surface: `training` over a Btf of them, whose pixels may be rewritten, and `lit` [light, 1, H, W].
 
     `source` are the samples of the same texels as the images show them; `slopes` [2, H, W] those of the height.
-    `window` is the part of the whole that these texels are, None for all; `fixed` says that the height was given, and stays.
+    `window` is the part of the whole that these texels are, None for all.
     """
 
     source: Training
@@ -52,12 +52,6 @@ class Surface:
     lit: Tensor
     slopes: Tensor
     window: Window | None = None
-    fixed: bool = False
-
-    @property
-    def moves(self) -> bool:
-        """Whether a fit may move the height: the whole of one that was recovered. A part says nothing of the whole."""
-        return self.window is None and not self.fixed
 
     def values(self, samples: slice | Tensor) -> tuple[Tensor, Tensor]:
         """Return values [k, 3, H, W] of some samples and what they count, [k, 1, H, W] in [0, 1]."""

@@ -2,7 +2,7 @@
 
 The residual is taken after ``(x + e) ^ (1 / 2.2)``: to the eye, and to 8-bit pictures, a step in the dark counts as
 much as one in the light, and a highlight a thousand times brighter than the cloth counts 23 times as much - neither lost
-nor all that matters. Between rounds of Adam the height moves to where the appearance found so far wants it.
+nor all that matters. The height stays: what the appearance wants of it is as often its own error. It moves in the finish.
 """
 
 from __future__ import annotations
@@ -21,7 +21,6 @@ from torchmat.fitting.models.distribution.parameters import (
 )
 from torchmat.fitting.models.distribution.start import find_starts
 from torchmat.fitting.objective import DISPLAY, DISPLAY_POWER, Objective, Residual, mean_value, power
-from torchmat.fitting.relief.refine import refine_height
 from torchmat.fitting.relief.surface import Surface, bring_onto
 from torchmat.fitting.training import Fitted, Training
 from torchmat.geometry import normals_from_slopes
@@ -35,8 +34,7 @@ from torchmat.solvers.stop_reasons import DIVERGED, NOT_FINITE
 _BATCH_VALUES, _FEWEST_IMAGES = 49152, 4  # texels x images of one step
 _LEAST_GRADIENT = 1e-8 * 4096  # of a texel; the loss is a mean, so all gradients shrink with the number of texels
 _RATE = 0.06
-_ROUNDS = (600, 500, 900)  # steps before, between and after the moves of the height
-_TO_DECIDE = (1100, 900)  # and where it does not move, before and after parts are decided
+_ROUNDS = (1100, 900)  # steps before and after parts are decided
 _FEWER = {Adam: 4, LBFGS: 10}  # steps on all samples at once do so many times as much
 # Passes of the multiplicative start, and images of each. Only a hurried fit begins so: a whole one gets there by Adam, and
 # ends up to 0.3 dB better. With fewer values for each entry of a specular map the passes learn their noise.
@@ -81,7 +79,7 @@ def fit_distribution(
 
 
 def fit_distribution_on_relief(surface: Surface, height: Tensor, **options: Any) -> Fitted:
-    """Fit the distribution material over a relief, and refine its height along the way unless that was given."""
+    """Fit the distribution material over a relief."""
     return DistributionFit(surface, height, DistributionOptions(**options)).run()
 
 
@@ -109,16 +107,14 @@ class DistributionFit:
         self.choice.start(starts)
         with working("taking the first steps", self.surface.training.progress):
             raw = self.begin(starts, self.choice.parts)
-        moves = self.height is not None and self.surface.moves
-        still = _TO_DECIDE if self.choice.open else (sum(_ROUNDS),)
-        raw, found = self._rounds(raw, _ROUNDS if moves else still)
+        raw, found = self._rounds(raw, _ROUNDS if self.choice.open else (sum(_ROUNDS),))
         parts = self.choice.parts
         figures = {"parts": parts.names, "lobes": parts.lobes, "trials": self.choice.tried, "solver_steps": found.steps}
         shared = self._shared(raw, parts, starts)
         return Fitted(self._material(raw, parts), found.reason, None, figures, history=self.history, shared=shared)
 
     def _rounds(self, raw: dict[str, Tensor], rounds: tuple[int, ...]) -> tuple[dict[str, Tensor], Descent]:
-        """Solve for all maps, moving the height between rounds; a limit of seconds is shared out as the steps are.
+        """Solve for all maps; a limit of seconds is shared out as the steps are.
 
         Before the last round the parts that are open are decided; what that takes of steps is a part of the round.
         """
@@ -128,9 +124,6 @@ class DistributionFit:
         taken, watch = 0, training.watch
         with whole("fitting", every, "fitting", watch.limit - watch.seconds, training.progress):
             for number, (steps, solver) in enumerate(zip(rounds, solvers, strict=True)):
-                if number > 0 and self.height is not None and self.surface.moves and not watch.spent:
-                    with working("moving the height", training.progress):
-                        self._move_height(raw, self.choice.parts)
                 if number == len(rounds) - 1 and self.choice.open:
                     raw, gone = self.choice.prune(raw)
                     solver = replace(solver, steps=max(1, (solver.steps or 0) - gone))
@@ -283,20 +276,6 @@ class DistributionFit:
         for value in parameters:
             value.requires_grad_(False).grad = None
         return found
-
-    def _move_height(self, raw: dict[str, Tensor], parts: Parts) -> None:
-        surface, height, texels = self.surface, self.height, torch.arange(len(self.surface.training.btf))
-        assert height is not None
-
-        def steepness(values: Tensor) -> Tensor:
-            slope = power(values.clamp(min=0) + self.objective.darkest, DISPLAY_POWER - 1)
-            return slope * (DISPLAY_POWER * self.white**-DISPLAY_POWER)
-
-        slopes = raw.get("normal", surface.slopes)
-        self.height = refine_height(
-            surface, height, slopes, lambda run: self.predict(raw, parts, surface, texels[run]), steepness
-        )
-        self.surface = bring_onto(surface.source, self.height, into=surface)
 
     def _material(self, raw: dict[str, Tensor], parts: Parts) -> Distribution:
         maps = maps_of(raw | self.known)

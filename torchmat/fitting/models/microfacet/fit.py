@@ -28,7 +28,7 @@ from torchmat.repeatable import one_thread
 from torchmat.solvers import Minibatch, Stepping
 
 Choice = bool | Literal["auto"]
-_STEPS, _ROUNDS, _RATE = 1600, (0.3, 0.25, 0.45), 0.05  # of a whole fit, and what of them lies between moves of the height
+_STEPS, _RATE = 1600, 0.05  # of a whole fit
 _TRIAL, _FEWEST, _LAST = 80, 40, 0.5  # steps of a trial; what of the whole fit is left at least when parts are chosen
 _GAIN_DB, _FREE_DB = 0.08, 0.03  # what a part must bring that takes bytes, and one that takes none
 _KEPT_BACK, _MEASURED = 10, 200  # one sample in so many says what a part brings; at most so many
@@ -72,7 +72,7 @@ def fit_microfacet_on_relief(
     surface: Surface, height: Tensor | None, *, normal: bool = True, effort: float = 1.0, solver: Stepping = Minibatch(),
     storage: str = "png8", objective: str | Residual = DISPLAY, **asked: Any,
 ) -> Fitted:
-    """Fit the microfacet material over a relief, and refine its height along the way."""
+    """Fit the microfacet material over a relief."""
     wanted = {name: asked.get(name, "auto") for name in OPTIONAL}
     with one_thread():
         return _Fit(surface, height, wanted, normal, effort, solver, storage, objective).run()
@@ -221,17 +221,16 @@ class _Fit:
         return -10 * math.log10(max(error / max(count, 1), 1e-12))
 
     def _whole(self, material: Microfacet) -> Fitted:
-        """Descend on all samples, moving the height between rounds."""
+        """Descend on all samples."""
         shared = [spec.name for spec in material.own_specs() if spec.constant]
-        moves = self.height is not None and self.surface.moves
-        kept = ([] if moves else ["height"]) + (shared if self.training.shared is not None else [])
+        kept = ["height", *(shared if self.training.shared is not None else [])]
         usual = _STEPS * self.effort
         wanted: dict[str, Any] = {"steps": self.solver.steps or max(1, round(max(_LAST * usual, usual - self.taken)))}
         if hasattr(self.solver, "rate"):
             wanted["rate"] = self.solver.rate or _RATE
         solver = replace(self.solver, **wanted)
         run = Descending(self.surface.source, material, kept, self.objective, self.surface, _prior(material))
-        fitted = run.run(solver, _ROUNDS if moves else (1.0,))
+        fitted = run.run(solver, (1.0,))
         self.steps, self.history = int(fitted.figures.get("steps", 0)), fitted.history
         found = fitted.material
         tables = {name: found.maps[name].detach() for name in shared}
