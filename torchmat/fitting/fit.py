@@ -287,6 +287,7 @@ def _fitted(
             step = "Let it choose on a crop of the images, then fit the model that it picked by tiles."
             fact = "tile_size, memory_mb or work is given"
             raise RangeError(message("fit auto", "the choice", "be made on all texels at once", fact, step))
+        training = replace(training, finish=config.finish and config.relief != FAST)
         return fit_auto(training, beside_mask(make_target("fit", config.target), training.btf.mask), geometry)
     if by_tiles:
         return fit_tiled(training, config.model, options, geometry, config.tile_size, config.memory_mb, work)

@@ -29,7 +29,8 @@ class Rung:
     """One candidate of the automatic choice: a model with its options, and maps that are stored as numbers.
 
     `bytes` is what its maps take a texel, in 8 bits. `late` says that its fit takes seconds: it is tried on a flat surface
-    alone, and where nothing that takes less has what is wanted.
+    alone, and where nothing that takes less has what is wanted. `last` says that it is tried after all others, on the relief
+    if that helps: what it finds cannot be painted.
     """
 
     name: str
@@ -38,6 +39,7 @@ class Rung:
     options: Mapping[str, Any] = field(default_factory=dict)
     stored: Mapping[str, StoredAs] = field(default_factory=dict)
     late: bool = False
+    last: bool = False
 
     @property
     def settings(self) -> dict[str, Any]:

@@ -12,19 +12,22 @@ import dataclasses
 from dataclasses import replace
 from typing import Any
 
+from torch import Tensor
 
 from torchmat.errors import FitError, RangeError, message
 from torchmat.fitting.choice.candidate import Option, fit_rung
 from torchmat.fitting.choice.climb import SPENT, Climb
-from torchmat.fitting.choice.ladder import built_by_parts
+from torchmat.fitting.choice.ladder import built_by_parts, last_rungs, named
 from torchmat.fitting.choice.measured import MARGIN, most_on_highlights
 from torchmat.fitting.choice.shrink import Shrunk, total_bytes
+from torchmat.fitting.finish import finish
 from torchmat.fitting.geometry import Geometry, Given, Recover, check_height
 from torchmat.fitting.recipe import recipe_of
 from torchmat.fitting.relief.recover import Recovery, recover_relief
 from torchmat.fitting.training import Fitted, Training
 from torchmat.fitting.wanted import Target
 from torchmat.models import Material
+from torchmat.models.relief_maps import FINE
 
 MET, NOT_MET, WITHIN = "target met", "target not met", "best within the budget"
 _RECOVERY = 10  # times the seconds of all flat candidates: what a recovery took at least on the data measured so far
@@ -52,7 +55,8 @@ def fit_auto(training: Training, target: Target, geometry: Geometry) -> Fitted:
         for recipe in built_by_parts():
             if _goes_on(climb, recipe.name):
                 climb.by_parts(recipe, given)
-        return _delivered(climb, None)
+        _try_the_last(climb, given)
+        return _finished(climb, _delivered(climb, None), moves=False)
     climb.flat()
     _check_seconds(climb)
     recovery = _recovered(climb) if isinstance(geometry, Recover) and _goes_on(climb, "relief") else None
@@ -62,7 +66,35 @@ def fit_auto(training: Training, target: Target, geometry: Geometry) -> Fitted:
         if _goes_on(climb, recipe.name):
             helps = recovery is not None and _relief_helps(climb, recipe.name)
             climb.by_parts(recipe, recovery.relief.height if recovery and helps else None)
-    return _delivered(climb, recovery)
+    _try_the_last(climb, recovery.relief.height if recovery and climb.best.height is not None else None)
+    return _finished(climb, _delivered(climb, recovery), moves=True)
+
+
+def _try_the_last(climb: Climb, height: Tensor | None) -> None:
+    """Try what no map of can be painted, where nothing that can is what is wanted."""
+    for rung in last_rungs():
+        if _goes_on(climb, named(rung, height)):
+            climb.at_last(rung, height)
+
+
+def _finished(climb: Climb, fitted: Fitted, moves: bool) -> Fitted:
+    """Return the material chosen after its finish, followed finely, where samples kept back come out better as it is stored."""
+    material = fitted.material
+    if not climb.training.finish or not material.has_relief or climb.watch.spent:
+        return fitted
+    training = replace(climb.part, relief=FINE, progress=climb.training.progress)
+    done = finish(training, replace(fitted, material=material.with_relief(FINE)), moves)
+    if not done.figures["finish"]["kept"]:
+        return replace(fitted, figures=done.figures)
+    before, after = (climb.examiner.measure(one).cost(climb.target) for one in (material, done.material))
+    larger = total_bytes(done.material) > max(total_bytes(material), climb.most_bytes)
+    if after >= before or larger:
+        told = {**done.figures["finish"], "kept": False, "why": "stored as small as it is, it came out no better"}
+        return replace(fitted, figures={**done.figures, "finish": told})
+    chosen = {**fitted.figures["auto"]["chosen"], **climb.examiner.measure(done.material)._asdict()}
+    met = climb.limit is not None and fitted.stop_reason == NOT_MET and after <= climb.limit
+    auto = {**fitted.figures["auto"], "chosen": chosen, **({"outcome": MET, "short_by_db": None} if met else {})}
+    return replace(done, stop_reason=MET if met else fitted.stop_reason, figures={**done.figures, "auto": auto})
 
 
 def _check_target(target: Target, training: Training) -> None:

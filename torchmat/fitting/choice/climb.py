@@ -8,7 +8,7 @@ from weakref import WeakKeyDictionary
 
 from torch import Tensor
 
-from torchmat.fitting.choice.candidate import Option, fit_flat_rung
+from torchmat.fitting.choice.candidate import Option, fit_flat_rung, fit_rung
 from torchmat.fitting.choice.decisions import Decisions, gain_db
 from torchmat.fitting.choice.examine import Examiner, of_some_texels
 from torchmat.fitting.choice.kept_back import keep_back
@@ -61,7 +61,7 @@ class Climb:
         """
         fits: dict[tuple, Fitted] = {}
         for rung in all_rungs():
-            if self._cannot_pay(rung) or self._comes_too_late(rung):
+            if rung.last or self._cannot_pay(rung) or self._comes_too_late(rung):
                 continue
             start, key = self.watch.seconds, (rung.model, *sorted(rung.options.items()))
             if key not in fits:
@@ -73,7 +73,7 @@ class Climb:
         """Try the closed forms on a relief, all on samples that are brought onto it once."""
         surface, bare, shadowed = bring_onto(replace(self.part, progress=False), height), None, None
         # What fits shadow itself comes first, from samples that need no second copy.
-        flat = [rung for rung in all_rungs() if not rung.stored and not rung.late]
+        flat = [rung for rung in all_rungs() if not (rung.stored or rung.late or rung.last)]
         rungs = sorted(flat, key=lambda rung: recipe_of(rung.model).on_relief is None)
         for rung in rungs:
             if self._cannot_pay(rung, height):
@@ -107,6 +107,15 @@ class Climb:
         if self.limit is not None and self.meets(whole):  # it is truer, if it takes no fewer bytes
             few = _SHORT_SAVES * self.bytes_of(whole)
             self.options = [one for one in self.options if not one.short or self.bytes_of(one) < few]
+
+    def at_last(self, rung: Rung, height: Tensor | None) -> None:
+        """Try a candidate that is tried after all others."""
+        if self._cannot_pay(rung, height):
+            return
+        start = self.watch.seconds
+        with working(f"trying {named(rung, height)}", self.training.progress):
+            fitted = fit_rung(self.part, rung, height)
+        self._consider(rung, fitted, start, height)
 
     def gain(self, before: Option, after: Option) -> float:
         """Return by how many dB one candidate is truer than another, both stored in full."""

@@ -25,6 +25,11 @@ def all_rungs() -> list[Rung]:
     return sorted((rung for recipe in RECIPES.values() for rung in recipe.rungs), key=lambda rung: (rung.late, rung.bytes))
 
 
+def last_rungs() -> list[Rung]:
+    """Return the rungs that are tried after all others."""
+    return [rung for rung in all_rungs() if rung.last]
+
+
 def built_by_parts() -> list[Recipe]:
     """Return the recipes whose material is built part by part."""
     return [recipe for recipe in RECIPES.values() if recipe.ladder is not None]

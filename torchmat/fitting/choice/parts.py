@@ -87,7 +87,7 @@ class PartsClimb:
     def whole(self, rung: Rung) -> Fitted:
         """Return the whole fit of a rung, on a relief with the height moving unless it was given."""
         if self.height is not None:
-            return fit_rung(self.climb.part, rung, self.height, self.climb.given)
+            return fit_rung(self.climb.part, rung, self.height)
         return self._fitted(rung)
 
     def _fitted(self, rung: Rung) -> Fitted:

@@ -12,7 +12,7 @@ from torch import Tensor
 from torchmat.errors import check_option, check_positive
 from torchmat.fitting.geometry import RECOVER
 from torchmat.fitting.objective import Objective, Residual, check_objective
-from torchmat.fitting.recipe import Recipe, Tiling
+from torchmat.fitting.recipe import Recipe, Rung, Tiling
 from torchmat.fitting.training import Fitted, Training
 from torchmat.models.neural import Neural, angles, check_count, root_of_value, widths
 from torchmat.models.storage import STORAGES
@@ -213,6 +213,6 @@ class _Fit:
 _REFUSED = ("has one network for all texels", "Leave tile_size, memory_mb and work out: it holds only some of the images and texels at a time.")
 NEURAL = Recipe(
     Neural, fit_neural, bytes_per_texel="8", solvers=("minibatch",), descends=False, objective=ROOT,
-    quick={"effort": 0.1},
+    quick={"effort": 0.1}, rungs=(Rung("network", "neural", 8, last=True),),
     tiling=Tiling(refused=_REFUSED), geometry=RECOVER,
 )
