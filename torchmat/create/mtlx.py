@@ -80,7 +80,7 @@ class _Document:
         for scope in (self.root, *self.root.findall("nodegraph")):
             for node in scope:
                 for one in node.findall("input"):
-                    if one.get("type") == "filename" and one.get("value"):
+                    if one.get("type") == "filename" and (one.get("value") or one.get("interfacename")):
                         self.named.add(self._file(one, scope))
         return MtlxFiles(self.path, kinds, frozenset(self.named))
 
@@ -167,6 +167,8 @@ def _parsed(path: Path) -> ElementTree.Element:
             root = element if root is None else root
             if depth > _DEEPEST:
                 raise DataError(message(str(path), "the MaterialX document", f"be at most {_DEEPEST} deep", "it is deeper", _RESTORE))
+    except DataError:
+        raise
     except (ElementTree.ParseError, ValueError, LookupError) as error:  # LookupError: an encoding that is none
         raise DataError(message(str(path), "the MaterialX document", "be XML", str(error), _RESTORE)) from error
     if root is None or root.tag != "materialx":

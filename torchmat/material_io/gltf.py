@@ -9,15 +9,17 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from torchmat import safe
 from torchmat.errors import RangeError, message
 from torchmat.machine import package_version
+from torchmat.material_io.as_microfacet import as_microfacet
 from torchmat.material_io.exporter import Exporter, Losses
 from torchmat.material_io.glb import SUFFIX, Buffer, write_glb
 from torchmat.material_io.gltf_material import MAP_OF_HEIGHT, material_of
 from torchmat.material_io.pictures import codes_of, normal_codes, png_bytes
-from torchmat.material_io.renderer_form import losses_of_form, microfacet_form
+from torchmat.material_io.renderer_form import COATED, losses_of_form, microfacet_form
 from torchmat.models import Material, Microfacet
-from torchmat.models.renderers import Gltf, as_gltf
+from torchmat.models.renderers import DIELECTRIC, Gltf, as_gltf
 
 _VERTICES, _INDICES = 34962, 34963
 _REPEAT, _CLAMP, _LINEAR, _MIPMAPS = 10497, 33071, 9729, 9987
@@ -43,11 +45,18 @@ def write_gltf(material: Material, path: Path, *, mesh: Any = "quad", depth: int
         depth: bits a channel of its PNG textures, 8 or 16; viewers may round to 8.
     """
     form = microfacet_form(material)
-    buffer, maps = Buffer(), as_gltf(form)
+    buffer, maps = Buffer(), _at_normal_first(as_gltf(form), form)
     tree = _with_mesh(buffer, mesh)
     tree |= _Textures(buffer, material, form, maps, depth).written()
     write_glb(path, tree, buffer)
     return _losses(material, form, path)
+
+
+def _at_normal_first(maps: Gltf, form: Microfacet) -> Gltf:
+    """Return the maps with F0 kept where it is above F90, which glTF's `specular` bounds: the lobe is seen by it."""
+    f0 = form.maps["specular_f0"].detach()
+    weight = torch.maximum(maps.specular, f0.amax(dim=0, keepdim=True)).clamp(max=1)
+    return maps._replace(specular=weight, specular_colour=safe.divide(f0, DIELECTRIC * weight))
 
 
 def _losses(material: Material, form: Microfacet, path: Path) -> Losses:
@@ -55,7 +64,10 @@ def _losses(material: Material, form: Microfacet, path: Path) -> Losses:
     extra = {"height": held.maps["height"].detach()} if "height" in held.maps else {}
     lost = {"rolloff": "it has no place there", "layered": "renderers have their own way"}
     told = {} if "layered" in form.options["parts"] else {"diffuse": _DIMMED}
-    return losses_of_form(material, form, held.surface(), lost, told, extra)
+    told |= {"coat": COATED} if "coat" in form.maps else {}
+    if "f90" in form.maps and "f90" not in held.maps:
+        lost["f90"] = "it is not below what F0 needs"
+    return losses_of_form(material, form, as_microfacet(held), lost, told, extra)
 
 
 def _with_mesh(buffer: Buffer, mesh: Any) -> dict[str, Any]:

@@ -50,10 +50,10 @@ def material_of(path: str | Path) -> Microfacet:
 class _Reader:
     def __init__(self, glb: Glb) -> None:
         self.glb = glb
-        self.described = glb.item("materials", 0) if glb.items("materials") else {}
-        if not self.described:
+        if not glb.items("materials"):
             step = "Load it as a mesh, or export it with a material."
             raise glb.error("the GLB", "hold a material", "it holds none", step)
+        self.described = glb.item("materials", 0)
         self.base = self._table(self.described, "pbrMetallicRoughness")
         every = self._table(self.described, "extensions")
         self.more = {name: self._table(every, _PREFIX + name) for name in _KNOWN if _PREFIX + name in every}
@@ -206,7 +206,7 @@ class _Reader:
         direction = safe.normalise(torch.stack((cosine * x - sine * y, sine * x + cosine * y)))
         none = (direction == 0).all(dim=0, keepdim=True)
         direction = torch.where(none, torch.tensor([1.0, 0.0])[:, None, None], direction)
-        return {"roughness": alphas_of_gltf(rough, strength * ones).sqrt(), "rotation": direction}
+        return {"roughness": alphas_of_gltf(rough, strength * ones).sqrt(), "rotation": direction.clamp(-1, 1)}
 
     def _normal(self) -> tuple[dict[str, Tensor], set[str]]:
         texture = self._map(self.described, "normalTexture")
@@ -217,7 +217,7 @@ class _Reader:
         scale = self._number(self._table(self.described, "normalTexture"), "scale", 1.0, -1e6)
         normal = (texture[:3] * 2 - 1) * torch.tensor([scale, scale, 1.0])[:, None, None]
         normal = torch.where(normal[2:] > 0, normal, torch.tensor([0.0, 0.0, 1.0])[:, None, None])
-        normal = safe.normalise(normal)
+        normal = safe.normalise(normal).clamp(-1, 1)
         if height is not None:
             slopes = slopes_from_normals(normal) - slopes_from_height(height, tiles=self.tiles)
             normal = normals_from_slopes(slopes)

@@ -15,7 +15,7 @@ from torchmat.images import write_image
 from torchmat.material_io.exporter import Exporter, Losses
 from torchmat.material_io.materialx_nodes import SPACE, VERSION, Graph, linked, typed
 from torchmat.material_io.pictures import codes_of, normal_codes, values_of
-from torchmat.material_io.renderer_form import losses_of_form, microfacet_form, microfacet_of
+from torchmat.material_io.renderer_form import COATED, losses_of_form, microfacet_form, microfacet_of
 from torchmat.models import Material, Microfacet
 from torchmat.models.ggx import usual_f90
 from torchmat.models.renderers import DIELECTRIC, alphas_of_openpbr, as_openpbr
@@ -44,6 +44,7 @@ def write_materialx(material: Material, path: Path, *, form: str = "portable", d
     lost = {"rolloff": "it has no place there", "layered": "renderers have their own way"}
     told = {"diffuse": _DIMMED} if form == "portable" and "layered" not in maps.options["parts"] else {}
     if form == "portable":
+        told |= {"coat": COATED} if "coat" in maps.maps else {}
         lost["f90"] = "it has no place there"
     else:
         told = {"specular_f0": _COMPENSATED}
@@ -162,6 +163,8 @@ class _Document:
             coat = bsdf("generalized_schlick_bsdf", "coat")
             self.held["coat"] = self._colour("coat_color0", maps["coat"].expand(3, -1, -1))[:1]
             linked(coat, "color0", "color3", "coat_color0")
+            self._colour("coat_color90", usual_f90(maps["coat"]).expand(3, -1, -1))
+            linked(coat, "color90", "color3", "coat_color90")
             self.held["coat_roughness"] = self._alphas(coat, "coat", maps["coat_roughness"])
         if "sheen" in maps:
             sheen = bsdf("sheen_bsdf", "sheen")
@@ -183,8 +186,8 @@ class _Document:
         square = self.graph.binary("multiply", f"{name}_alphas", "vector3", root, root)
         two = self.graph.node("convert", f"{name}_alpha", "vector2")
         typed(two, "in", "vector3", nodename=square)
-        self.graph.output(f"{name}_alpha", "vector2", f"{name}_alpha")
-        linked(node, "roughness", "vector2", f"{name}_alpha")
+        self.graph.output(f"{name}_roughness", "vector2", f"{name}_alpha")
+        linked(node, "roughness", "vector2", f"{name}_roughness")
         return values_of(codes)[: len(roughness)]
 
     def _sum(self, bsdfs: list[ElementTree.Element]) -> None:

@@ -80,7 +80,15 @@ def write_orm(material: Material, path: Path, *, vendor: str = "unreal", name: s
         depth: bits a channel, 8 or 16.
     """
     check_option("export to orm", "vendor", vendor, VENDORS)
+    return write_set(material, path, vendor, name, depth)
+
+
+def write_set(material: Material, path: Path, vendor: str, name: str, depth: int, green_up: bool = False) -> Losses:
+    """Write the textures of a vendor's set; with `green_up` its normals are OpenGL's whatever they are elsewhere."""
     form, how = microfacet_form(material), VENDORS[vendor]
+    if green_up and how.directx:
+        files = {stem.replace("DirectX", "OpenGL"): contents for stem, contents in how.files.items()}
+        how = how._replace(files=files, directx=False)
     maps = {key: value.detach() for key, value in form.maps.items()}
     round_one = maps["roughness"] if len(maps["roughness"]) == 1 else maps["roughness"].prod(dim=0, keepdim=True).sqrt()
     values = {"roughness": round_one, "gloss": 1 - round_one, "white": torch.ones_like(round_one), "black": torch.zeros_like(round_one)}

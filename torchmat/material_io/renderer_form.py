@@ -17,6 +17,7 @@ from torchmat.models.renderers import sorted_alphas
 from torchmat.progress import phase
 
 _NO_PARALLAX = "renderers neither shift nor shade what the normals show"
+COATED = "renderers lift it towards grazing in their own way"
 _FITTED = "held as diffuse, F0 and roughness of a GGX lobe"
 
 
@@ -27,7 +28,7 @@ def microfacet_form(material: Material) -> Microfacet:
     if "rotation" not in form.maps:
         return form
     most, least, direction = sorted_alphas(form)
-    return form.with_maps(roughness=torch.cat((most, least)).sqrt(), rotation=direction)
+    return form.with_maps(roughness=torch.cat((most, least)).sqrt(), rotation=direction.clamp(-1, 1))
 
 
 def microfacet_of(maps: Mapping[str, Tensor], like: Material) -> Microfacet:

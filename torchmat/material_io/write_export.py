@@ -57,7 +57,7 @@ def export(
     backup = check_export_target(target, exporter, force)
     table = {
         "format": LOSS_FORMAT, "version": _VERSION, "written_by": f"torchmat {package_version()}",
-        "exporter": exporter.name, "model": material.name, "options": {**exporter.options, **options},
+        "exporter": exporter.name, "model": material.name, "options": {name: _plain(value) for name, value in {**exporter.options, **options}.items()},
         "provenance": dict(provenance or {}),
     }
 
@@ -73,6 +73,11 @@ def export(
         with atomic.building_file(loss_file(target, exporter)) as built:
             write_table(built, _with_losses(table, measured[0], [target.name]), {target.name: digest_of(target)})
     return measured[0]
+
+
+def _plain(value: Any) -> Any:
+    """Return an option as JSON has it: of an object, such as a mesh, its name."""
+    return value if value is None or isinstance(value, str | int | float | bool | list | tuple) else str(getattr(value, "name", type(value).__name__))
 
 
 def _measured(losses: Losses, material: Material, btf: Btf | None, samples: Tensor | None) -> Losses:

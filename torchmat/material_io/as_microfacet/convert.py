@@ -104,7 +104,8 @@ def _turned(rotation: Tensor | None, cosine: Tensor, sine: Tensor) -> Tensor:
     cosine, sine = torch.cos(angle), torch.sin(angle)
     if rotation is None:
         return torch.stack((cosine, sine))
-    return torch.stack((rotation[0] * cosine - rotation[1] * sine, rotation[1] * cosine + rotation[0] * sine))
+    x, y = rotation
+    return torch.stack((x * cosine - y * sine, y * cosine + x * sine)).clamp(-1, 1)
 
 
 def _shapes(flat: Distribution, kinds: Tensor, r0: float) -> Distribution:
