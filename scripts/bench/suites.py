@@ -10,6 +10,7 @@ import auto
 import busy
 import compare
 import compiled
+import exports
 import finish
 import meshes
 import objects
@@ -216,6 +217,6 @@ SUITES = {
     "finish": finish.finish, "compiled": compiled.measure, "auto": auto.auto, "scale": scale.scale, "scene": scene.scene,
     "shading_maps": shading_maps.shading_maps,
     "objects": objects.objects, "meshes": meshes.meshes, "compare": compare.compare, "solvers": solvers.solvers,
-    "protocol": protocol.protocol, "busy": busy.busy, "signs": signs.signs,
+    "protocol": protocol.protocol, "busy": busy.busy, "signs": signs.signs, "exports": exports.exports,
     "sphere_images": spheres.sphere_images, "sphere_sizes": spheres.sphere_sizes, "sphere_shading": spheres.sphere_shading,
 }

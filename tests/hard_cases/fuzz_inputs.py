@@ -9,6 +9,7 @@ import gzip
 import json
 import os
 import struct
+import tempfile
 import zipfile
 from collections.abc import Callable
 from functools import cache
@@ -18,6 +19,7 @@ import numpy as np
 import torch
 from tests.brdf.files import merl_bytes, rgl_fields, tensor_bytes
 from tests.btf.files import ANGLES, put_btf, put_image, random_codes, zipped
+from tests.material_io.forms import microfacet, rand
 from tests.models.distributions import ALL_PARTS, distribution
 from tests.models.examples import make
 from tests.rendering.mesh_files import SQUARE, SQUARE_UV, TWO, Gltf, glb_of, put_obj, put_ply, put_stl
@@ -25,6 +27,7 @@ from tests.rendering.mesh_files import SQUARE, SQUARE_UV, TWO, Gltf, glb_of, put
 import torchmat as tm
 from torchmat.geometry import Relief
 from torchmat.images import write_image
+from torchmat.material_io import save_material
 from torchmat.material_io.packing import pack
 from torchmat.material_io.relief_folder import save_relief
 from torchmat.models.storage import StoredAs
@@ -97,8 +100,52 @@ def put_distribution(folder: Path) -> Path:
     return folder
 
 
+MTLX = """<?xml version="1.0"?>
+<materialx version="1.39">
+  <open_pbr_surface name="s" type="surfaceshader">
+    <input name="base_color" type="color3" nodegraph="g" output="base"/>
+    <input name="specular_roughness" type="float" nodename="r"/>
+    <input name="base_metalness" type="float" nodename="parts" output="outb"/>
+    <input name="geometry_normal" type="vector3" nodename="bump"/>
+  </open_pbr_surface>
+  <nodegraph name="g"><input name="f" type="filename" value="one.png"/>
+    <image name="c" type="color3"><input name="file" type="filename" interfacename="f"/></image>
+    <output name="base" type="color3" nodename="c"/></nodegraph>
+  <image name="orm" type="color3"><input name="file" type="filename" value="two.png"/></image>
+  <extract name="r" type="float"><input name="in" type="color3" nodename="orm"/><input name="index" type="integer" value="1"/></extract>
+  <separate3 name="parts" type="multioutput"><input name="in" type="color3" nodename="orm"/></separate3>
+  <normalmap name="bump" type="vector3"><input name="in" type="vector3" nodename="n"/></normalmap>
+  <image name="n" type="vector3"><input name="file" type="filename" value="three.png"/></image>
+</materialx>
+"""
+
+
 def put_packed(folder: Path) -> Path:
     return pack(distribution(4, 4, lobes=2, parts=ALL_PARTS, relief=True), folder, 8)
+
+
+@cache
+def _glb() -> bytes:
+    with tempfile.TemporaryDirectory() as room:
+        material = microfacet("normal", "anisotropy", "f90", "coat", "sheen", size=(3, 4)).on_relief(0.01 * rand(1, 3, size=(3, 4)))
+        save_material(material, Path(room) / "a.glb")
+        return (Path(room) / "a.glb").read_bytes()
+
+
+def put_glb(folder: Path) -> Path:
+    """Write a GLB of a small material with all parts that it may have."""
+    (folder / "a.glb").write_bytes(_glb())
+    return folder / "a.glb"
+
+
+def put_mtlx(folder: Path) -> Path:
+    """Write a texture set whose names say nothing beside a MaterialX document that says it all."""
+    for number, name in enumerate(("one", "two", "three")):
+        codes = random_codes(number, (4, 4, 3))
+        codes[..., -1] = codes[..., -1] // 4 + 190
+        put_image(folder / f"{name}.png", codes)
+    (folder / "a.mtlx").write_text(MTLX)
+    return folder
 
 
 def put_volume(folder: Path) -> Path:

@@ -11,8 +11,8 @@ from typing import Any
 import torch
 from tests.btf.files import directions_of
 from tests.hard_cases.fuzz_inputs import (
-    Put, image_putter, material_putter, mesh_putter, named_putter, put_cached, put_config, put_distribution,
-    put_gltf, put_lights, put_manifest, put_merl, put_merl_gz, put_merl_zip, put_named_lights, put_packed, put_polygons,
+    Put, image_putter, material_putter, mesh_putter, named_putter, put_cached, put_config, put_distribution, put_glb,
+    put_gltf, put_lights, put_manifest, put_merl, put_merl_gz, put_merl_zip, put_mtlx, put_named_lights, put_packed, put_polygons,
     put_quantised, put_rti, put_small, put_stereo, put_textures, put_vendors_textures, put_volume, put_xyz, put_zip,
     relief_putter, rgl_putter,
 )
@@ -225,6 +225,7 @@ READERS = [
     *[Reader(f"material, {name}", put, _read_material, exact=("cut",)) for name, put in _MATERIALS.items()],
     Reader("packed material", put_packed, lambda path: _sound(unpack(path)), exact=("cut",)),
     Reader(".3pm", put_volume, _read_material, exact=("cut",)),
+    Reader(".glb as a material", put_glb, _read_material, exact=("cut",)),
     Reader(".bsdf, isotropic", rgl_putter(1), _read_brdf, exact=("cut",)),
     Reader(".bsdf, anisotropic", rgl_putter(5), _read_brdf, exact=("cut",)),
     Reader("MERL .binary", put_merl, _read_brdf, exact=("cut",)),
@@ -244,6 +245,7 @@ READERS = [
     Reader("light directions, CSV", put_named_lights, _read_light_table),
     Reader("light_directions.txt", put_stereo, _read_btf, (".txt",)),
     Reader("texture set", put_textures, _read_textures, exact=_CHECKED),
+    Reader("texture set, MaterialX", put_mtlx, _read_textures, (".mtlx",)),
     Reader("texture set, packed", put_vendors_textures, _read_textures, by_name=True),
 ]
 BY_NAME = {reader.name: reader for reader in READERS}

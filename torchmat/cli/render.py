@@ -31,7 +31,7 @@ class Render:
     bounds: ClassVar = {"size": FROM_1, "exposure": POSITIVE, "environment_lights": FROM_1}
 
     material: Annotated[str, tyro.conf.Positional]
-    """Material folder, shading map (.3pm), BRDF file (.binary, .bsdf), or a BTF."""
+    """Material folder, shading map (.3pm), GLB (.glb), BRDF file (.binary, .bsdf), or a BTF."""
     out: Path | None = None
     """Folder for the pictures (default: pictures/ inside the material folder, else in the current one)."""
     scene: Path | None = None
@@ -158,10 +158,11 @@ class Render:
         from torchmat import load_brdf, load_material
         from torchmat.btf.interpolated import RawBtf
         from torchmat.brdf import is_brdf_file
+        from torchmat.material_io.gltf_material import is_glb
         from torchmat.report.describe import is_material
 
         with phase(f"reading {Path(self.material).name}"):
-            if is_material(self.material):
+            if is_material(self.material) or is_glb(self.material):
                 return load_material(self.material)
             if is_brdf_file(self.material):
                 return load_brdf(self.material)

@@ -12,6 +12,7 @@ from torch import Tensor
 
 from torchmat import safe
 from torchmat.btf.photographs import read_with_alpha
+from torchmat.create.mtlx import MtlxFiles, document_of, files_of_mtlx
 from torchmat.create.texture_names import KINDS, PACKED, kind_of
 from torchmat.errors import DataError, RangeError, ShapeError, check_finite, message
 from torchmat.geometry.normals import flip_green
@@ -90,6 +91,8 @@ def is_texture_set(folder: str | Path) -> bool:
     if any(path.name == "manifest.csv" or path.suffix.lower() == ".lp" for path in paths):
         return False
     kinds = {kind_of(path.stem) for path in paths if path.suffix.lower() in IMAGE_SUFFIXES}
+    if document_of(Path(folder)) is not None and any(path.suffix.lower() in IMAGE_SUFFIXES for path in paths):
+        return True
     return "color" in kinds and len(kinds & {*KINDS, *PACKED, "bump"}) > 1
 
 
@@ -98,8 +101,9 @@ def find_textures(folder: str | Path) -> TextureSet:
 
     A file of one kind goes before a channel of a packed one (ARM, ORM, ...), OpenGL before DirectX normals, both before
     those whose name does not tell, roughness before gloss, displacement before bump, and metalness before specular.
-    A picture called as the set itself is a preview, as is what says so. Raises DataError for no folder, no colour, two
-    files of one kind, and for pictures whose names say nothing.
+    A picture called as the set itself is a preview, as is what says so. The one MaterialX document of a folder goes before
+    names (`files_of_mtlx`). Raises DataError for no folder, no colour, two files of one kind, and for pictures whose names
+    say nothing and that no document names.
     """
     folder = Path(folder)
     if not os.path.isdir(folder):
@@ -112,12 +116,18 @@ def find_textures(folder: str | Path) -> TextureSet:
         (pictures if is_picture else ignored).append(path)
     told = {path: kind_of(path.stem) for path in pictures}
     _tell_previews(told)
+    document = document_of(folder)
+    given = MtlxFiles(folder, {}, frozenset()) if document is None else files_of_mtlx(document)
+    _tell_named(told, given)
     _refuse_unknown(folder, told)
     kinds = {path: kind for path, kind in told.items() if kind is not None}
     left_out = {p.name: f"{k.removeprefix('no place: ')}: torchmat has no place for it" for p, k in kinds.items()
                 if k.startswith("no place")}
+    left_out |= {p.name: f"{k}: {given.document.name} names another" for p, k in kinds.items()
+                 if k in given.kinds and given.kinds[k].path != p}
     ignored += [path for path, kind in kinds.items() if kind == "preview"]
     files = _files(folder, {path: kind for path, kind in kinds.items() if kind != "preview" and path.name not in left_out})
+    files |= {kind: Texture(*named) for kind, named in given.kinds.items()}
     _choose(files, left_out)
     if "color" not in files:
         inner = [path.name for path in sorted(folder.iterdir()) if path.is_dir()] if not pictures else []
@@ -135,6 +145,18 @@ def _tell_previews(kinds: dict[Path, str | None]) -> None:
                  if other != path and other.stem.startswith(path.stem) and not other.stem[len(path.stem)].isalnum()}
         if len(begun - {None}) > 1:
             kinds[path] = "preview"
+
+
+def _tell_named(kinds: dict[Path, str | None], given: MtlxFiles) -> None:
+    """Say of pictures that a document names what it says; those whose input has no place here have none."""
+    for path in given.every & set(kinds):
+        used = [(kind, named.channel) for kind, named in given.kinds.items() if named.path == path]
+        if used and used[0][1] is None:
+            kinds[path] = used[0][0]
+        elif kinds[path] in (None, "preview"):
+            kinds[path] = "no place: named by the document alone"
+            if used:  # by channels, whatever its name
+                del kinds[path]
 
 
 def _refuse_unknown(folder: Path, kinds: dict[Path, str | None]) -> None:

@@ -22,6 +22,7 @@ from torchmat.written import changed_files
 _MISSING: Any = None  # of what must be given, which is checked with an error that says so
 LOSS = "loss.json"
 LOSS_FORMAT = "torchmat-loss"
+_AGAINST = {"native": "against the material", "held_out": "against samples"}
 
 
 @dataclass(frozen=True)
@@ -32,11 +33,16 @@ class Losses:
         exact: names of the parts that come back as they were.
         approximated: of each part that does not, how far it is off.
         lost: of each part that has no place there, why.
+        errors: measured relative errors of what is held: "native" against the material without its relief, "held_out" against
+            samples of a BTF.
+        held: the material as the export holds it, after quantisation, which `export` measures; None is not known.
     """
 
     exact: tuple[str, ...] = ()
     approximated: Mapping[str, str] = field(default_factory=dict)
     lost: Mapping[str, str] = field(default_factory=dict)
+    errors: Mapping[str, float] = field(default_factory=dict)
+    held: Material | None = field(default=None, compare=False, repr=False)
 
     @classmethod
     def of_maps(
@@ -69,7 +75,9 @@ class Losses:
         return cls(tuple(exact), approximated, lost)
 
     def __str__(self) -> str:
-        parts = (("exact", self.exact), ("approximated", self.approximated), ("lost", self.lost))
+        told = ", ".join(f"{error:.3g} {_AGAINST[name]}" for name, error in self.errors.items())
+        approximated = f"approximated (error {told})" if told else "approximated"
+        parts = (("exact", self.exact), (approximated, self.approximated), ("lost", self.lost))
         return "; ".join(f"{name}: {', '.join(found) or 'nothing'}" for name, found in parts)
 
 

@@ -55,7 +55,7 @@ class OpenPbr(NamedTuple):
     direction: Tensor
 
 
-def _sorted_alphas(material: Microfacet) -> tuple[Tensor, Tensor, Tensor]:
+def sorted_alphas(material: Microfacet) -> tuple[Tensor, Tensor, Tensor]:
     """Return the larger and the smaller alpha [1, H, W], and the direction [2, H, W] of the larger."""
     roughness = material.maps["roughness"].detach()
     alpha = roughness * roughness
@@ -74,7 +74,7 @@ def as_gltf(material: Microfacet) -> Gltf:
     ``alpha_b = roughness^2`` and ``alpha_t = alpha_b + (1 - alpha_b) anisotropy^2`` are the smaller and the larger alpha.
     """
     maps = {name: value.detach() for name, value in material.maps.items()}
-    most, least, direction = _sorted_alphas(material)
+    most, least, direction = sorted_alphas(material)
     turned = "rotation" in maps
     f90 = usual_f90(maps["specular_f0"]) * maps.get("f90", 1.0)
     return Gltf(
@@ -86,7 +86,7 @@ def as_gltf(material: Microfacet) -> Gltf:
 
 def as_openpbr(material: Microfacet) -> OpenPbr:
     """Return the material's base and specular maps as OpenPBR names them."""
-    most, least, direction = _sorted_alphas(material)
+    most, least, direction = sorted_alphas(material)
     ratio = safe.divide(least, most) + (most == 0)  # a mirror has no direction
     roughness = safe.sqrt(safe.divide(most, torch.sqrt(2 / (1 + ratio * ratio))))
     maps = material.maps
