@@ -174,7 +174,7 @@ def test_export_prints_and_writes_what_is_lost(tmp_path, capsys, monkeypatch):
 
 @pytest.mark.parametrize("arguments, words", [
     ((), "to must name an exporter"),
-    (("--to", "gtlf"), "to must be one of 'folder', '3pm', 'packed'; it is 'gtlf'"),
+    (("--to", "gtlf"), "to must be one of 'folder', '3pm', 'packed', 'relight', 'openlime', 'ptm', 'rti', 'ktx2'; it is 'gtlf'"),
     (("--to", "packed", "--set", "deep=8"), "export to packed: key 'deep' must be one of: depth"),
     (("--to", "packed", "--set", "depth=12"), "depth must be one of 8, 16; it is 12"),
     (("--to", "packed", "--set", "depth"), "--set: 'depth' must be OPTION=VALUE"),

@@ -31,7 +31,9 @@ def losses_of(path):
 
 
 def test_the_table_has_the_forms_that_come_with_the_package():
-    assert {name: one.suffix for name, one in EXPORTERS.items()} == {"folder": None, "3pm": ".3pm", "packed": None}
+    assert {name: one.suffix for name, one in EXPORTERS.items()} == {
+        "folder": None, "3pm": ".3pm", "packed": None, "relight": None, "openlime": None, "ptm": ".ptm", "rti": ".rti", "ktx2": None,
+    }
     assert EXPORTERS["packed"].options == {"depth": 8} and EXPORTERS["folder"].options == {"storage": None}
     assert all(one.description for one in EXPORTERS.values())
 
@@ -107,7 +109,7 @@ def test_packed_textures_and_their_losses(tmp_path, depth):
 
 
 def test_names_options_and_suffixes_are_checked(tmp_path):
-    with pytest.raises(RangeError, match="to must be one of .folder., .3pm., .packed.; it is .pakced.. Did you"):
+    with pytest.raises(RangeError, match="to must be one of .folder., .3pm., .packed., .*; it is .pakced.. Did you"):
         tm.export(texture(), tmp_path / "m", to="pakced")
     with pytest.raises(RangeError, match="to must name an exporter; .*ends in no suffix of one. Name one of: folder, 3pm"):
         tm.export(texture(), tmp_path / "m.xyz")
@@ -248,7 +250,7 @@ def test_the_example_of_the_page_runs_as_it_stands(tmp_path, monkeypatch, capsys
     assert {path.name for path in Path("wool_tiffs").iterdir()} == {"albedo.tif", "loss.json"}
 
 
-@pytest.mark.parametrize("name", ["folder", "3pm", "packed"])
+@pytest.mark.parametrize("name", ["folder", "3pm", "packed", "relight", "openlime", "ptm", "rti", "ktx2"])
 def test_the_page_lists_each_exporter_and_its_options(name):
     page = (Path(tm.__file__).parent / "material_io" / "FORMAT.md").read_text("utf-8")
     row = next(line for line in page.splitlines() if line.startswith(f"| `{name}` |"))

@@ -4,8 +4,13 @@ from __future__ import annotations
 
 from torchmat.material_io.exporter import register_exporter
 from torchmat.material_io.folder import FOLDER
+from torchmat.material_io.ktx2 import KTX2
 from torchmat.material_io.packing import PACKED
+from torchmat.material_io.rti.page import OPENLIME
+from torchmat.material_io.rti.ptm_file import PTM
+from torchmat.material_io.rti.relight_folder import RELIGHT
+from torchmat.material_io.rti.rti_file import RTI
 from torchmat.material_io.volume import VOLUME
 
-for _exporter in (FOLDER, VOLUME, PACKED):
+for _exporter in (FOLDER, VOLUME, PACKED, RELIGHT, OPENLIME, PTM, RTI, KTX2):
     register_exporter(_exporter)
