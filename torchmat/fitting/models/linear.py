@@ -22,6 +22,7 @@ from torchmat.models.storage import StoredAs
 from torchmat.repeatable import one_thread, product
 from torchmat.solvers.least_squares import Design, make_design
 
+_KNEE = 0.0031308  # of linear light: below it codes are a multiple
 _EYE = 1.0  # of the mean value: darker samples weigh no more
 
 
@@ -33,8 +34,13 @@ def design_of(training: Training, basis: str, ridge: float = 0.0) -> Design:
 
 
 def _encoded(images: Tensor) -> Tensor:
-    """Return linear images as the codes of a screen, of which 1 is white and which go on above it."""
-    return colour.linear_to_srgb(images.clamp(min=0))  # no light is less than none, but a relief's indirect light is taken off
+    """Return linear images as the codes of a screen (IEC 61966-2-1), of which 1 is white and which go on above it.
+
+    As `colour` does, but by a logarithm, which has the same bits on any number of threads, and in a third of the memory.
+    """
+    light = images.clamp(min=0)  # no light is less than none, but a relief's indirect light is taken off
+    curve = light.clamp(min=_KNEE).log_().mul_(1 / 2.4).exp_().mul_(1.055).sub_(0.055)
+    return torch.where(light > _KNEE, curve, light * 12.92)
 
 
 def _solve(training: Training, basis: str, space: str = LINEAR) -> tuple[Design, Moments, LinearFit]:
