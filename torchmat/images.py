@@ -161,8 +161,12 @@ def _tags(source: ImageInput) -> Tags:
     return Tags(orientation if orientation in _TURNS else 1, profile.tobytes() if known else b"")
 
 
-def write_image(path: str | Path, pixels: np.ndarray, channel_names: tuple[str, ...] | None = None) -> None:
+def write_image(
+    path: str | Path, pixels: np.ndarray, channel_names: tuple[str, ...] | None = None, quality: int | None = None
+) -> None:
     """Write [H, W, C] or [H, W] pixels; the suffix names the format, the array's type the bit depth.
+
+    `quality` is a JPEG's, 1 to 100, which then keeps its colours in full size; None is the format's usual one.
 
     Written to disk before the function returns; raises DataError, which names the file, when that fails or when the
     format has no such bit depth or number of channels.
@@ -182,6 +186,9 @@ def write_image(path: str | Path, pixels: np.ndarray, channel_names: tuple[str, 
         spec.attribute("DateTime", _NO_DATE)
     if Path(path).suffix.lower() == ".exr":
         spec.attribute("compression", "zip")
+    elif quality is not None:
+        spec.attribute("compression", f"jpeg:{quality}")
+        spec.attribute("jpeg:subsampling", "4:4:4")
     else:
         # Fast deflate: textures are written far more often than they are shipped over slow lines.
         spec.attribute("png:compressionLevel", 3)

@@ -164,7 +164,7 @@ def test_arguments_override_the_config(btf):
     config = FitConfig("hsh", {"terms": 4, "storage": "png8"}, 0.3, "view", 3)
     report = tm.fit(btf, config, seed=7, holdout_by="pair", terms=9, measure=False).report
     assert (report["seed"], report["holdout"], report["holdout_by"]) == (7, 0.3, "pair")
-    assert report["options"] == {"terms": 9, "space": "linear", "storage": "png8", "solver": "closed_form", "objective": "linear"}
+    assert report["options"] == {"terms": 9, "space": "srgb", "storage": "png8", "solver": "closed_form", "objective": "linear"}
 
 
 @pytest.mark.parametrize(("model", "options", "hint"), [

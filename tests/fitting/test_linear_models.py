@@ -109,9 +109,9 @@ def test_lptm_recovers_its_codes(dtype):
 
 
 @pytest.mark.parametrize("model", ["ptm", "lptm", "hsh"])
-def test_light_is_the_default_and_other_spaces_are_refused(model):
+def test_codes_are_the_default_and_other_spaces_are_refused(model):
     images = uniform(len(LIGHT), 3, HEIGHT, WIDTH, low=0, high=1)
-    assert fitted(images, model, torch.float32).options["space"] == "linear"
+    assert fitted(images, model, torch.float32).options["space"] == "srgb"
     with pytest.raises(tm.RangeError, match="space.*be one of 'linear', 'srgb'; it is 'gamma'"):
         fitted(images, model, torch.float32, space="gamma")
 

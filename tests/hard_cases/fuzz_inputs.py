@@ -28,6 +28,7 @@ import torchmat as tm
 from torchmat.geometry import Relief
 from torchmat.images import write_image
 from torchmat.material_io import save_material
+from torchmat.material_io import EXPORTERS
 from torchmat.material_io.packing import pack
 from torchmat.material_io.relief_folder import save_relief
 from torchmat.models.storage import StoredAs
@@ -152,6 +153,18 @@ def put_volume(folder: Path) -> Path:
     codes = np.random.default_rng(0).integers(0, 256, 4 * 2 * 3 * 3, dtype=np.uint8)
     (folder / "a.3pm").write_bytes(b"VL\n#components 3\n3 2 4\n255\n" + codes.tobytes())
     return folder / "a.3pm"
+
+
+def coefficients_putter(model: str, form: str, **asked: str) -> Put:
+    """Return what writes a small material in a form of RTI programs."""
+
+    def put(folder: Path) -> Path:
+        material = make(model, {"space": "srgb"}, 3, 4, dtype=torch.float32)
+        target = folder / f"a.{form}" if EXPORTERS[form].suffix else folder
+        EXPORTERS[form].write(material, target, **asked)
+        return target
+
+    return put
 
 
 @cache

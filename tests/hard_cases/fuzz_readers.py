@@ -11,8 +11,8 @@ from typing import Any
 import torch
 from tests.btf.files import directions_of
 from tests.hard_cases.fuzz_inputs import (
-    Put, image_putter, material_putter, mesh_putter, named_putter, put_cached, put_config, put_distribution, put_glb,
-    put_gltf, put_lights, put_manifest, put_merl, put_merl_gz, put_merl_zip, put_mtlx, put_named_lights, put_packed, put_polygons,
+    Put, coefficients_putter, image_putter, material_putter, mesh_putter, named_putter, put_cached, put_config, put_distribution,
+    put_glb, put_gltf, put_lights, put_manifest, put_merl, put_merl_gz, put_merl_zip, put_mtlx, put_named_lights, put_packed, put_polygons,
     put_quantised, put_rti, put_small, put_stereo, put_textures, put_vendors_textures, put_volume, put_xyz, put_zip,
     relief_putter, rgl_putter,
 )
@@ -226,6 +226,10 @@ READERS = [
     Reader("packed material", put_packed, lambda path: _sound(unpack(path)), exact=("cut",)),
     Reader(".3pm", put_volume, _read_material, exact=("cut",)),
     Reader(".glb as a material", put_glb, _read_material, exact=("cut",)),
+    Reader(".ptm", coefficients_putter("ptm", "ptm"), _read_material, exact=("cut",)),
+    Reader(".ptm, LRGB", coefficients_putter("lptm", "ptm"), _read_material, exact=("cut",)),
+    Reader(".rti", coefficients_putter("hsh", "rti"), _read_material, exact=("cut",)),
+    Reader("relight folder", coefficients_putter("hsh", "relight", image="png"), _read_material, exact=("cut",)),
     Reader(".bsdf, isotropic", rgl_putter(1), _read_brdf, exact=("cut",)),
     Reader(".bsdf, anisotropic", rgl_putter(5), _read_brdf, exact=("cut",)),
     Reader("MERL .binary", put_merl, _read_brdf, exact=("cut",)),

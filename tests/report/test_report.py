@@ -112,7 +112,7 @@ def test_a_row_holds_error_bytes_and_seconds(btf):
         assert row["bytes_per_texel"] == {"texture": 6, "hsh": 12}[report["model"]]
         assert row["fit_seconds"] > 0 and row["shade_mtexels_per_s"] > 0
         assert set(COMPARE_COLUMNS) <= set(row)
-    assert rows[1]["report"]["options"] == {"terms": 4, "space": "linear", "storage": "png8", "solver": "closed_form", "objective": "linear"}
+    assert rows[1]["report"]["options"] == {"terms": 4, "space": "srgb", "storage": "png8", "solver": "closed_form", "objective": "linear"}
 
 
 def test_the_interval_of_the_error_stands_in_the_table_of_a_fit(btf):

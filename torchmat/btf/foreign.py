@@ -13,7 +13,7 @@ _RAW = (
 )
 _FITTED = (
     "Give the photographs that it was made of, with their .lp file; torchmat fit ptm --data PHOTOGRAPHS (or hsh) then makes "
-    "maps of its own."
+    "maps of its own. As it is it is a material: torchmat info, render and export take it."
 )
 _LIGHTS = "Export the light positions from it as an .lp file, and give that or the photographs' folder."
 _ELSEWHERE = "Export its images, and write a manifest.csv with a line for each, or register a reader (tm.register_reader)."

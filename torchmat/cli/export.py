@@ -19,11 +19,11 @@ class Export:
     reads: ClassVar = ("material", "btf")
 
     material: Annotated[str, tyro.conf.Positional]
-    """Material folder, shading map (.3pm), or GLB (.glb)."""
+    """Material folder, shading map (.3pm), GLB (.glb), or coefficients of RTI programs (.ptm, .rti, a folder with info.json)."""
     to: str | None = None
     """folder (torchmat's own, with --set storage=png8), 3pm (a shading map's slices), packed (few textures for a shader),
-    gltf (GLB), orm (a texture set, with --set vendor=unity), materialx, or another exporter's name (default: as the suffix
-    of --out says)."""
+    gltf (GLB), orm (a texture set, with --set vendor=unity), materialx, mitsuba, blender, relight, openlime, ptm, rti (for RTI
+    viewers), ktx2 (half floats), or another exporter's name (default: as the suffix of --out says)."""
     out: Path | None = None
     """File or folder to write (default: called as the material, in the current folder). An earlier export there is
     replaced. The losses are written into the folder (loss.json) or beside the file (NAME.loss.json)."""

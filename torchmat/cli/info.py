@@ -19,7 +19,7 @@ class Info:
     reads: ClassVar = ("path",)
 
     path: Annotated[str, tyro.conf.Positional] = SAMPLE
-    """What to describe."""
+    """What to describe; coefficients of RTI programs (.ptm, .rti, a folder with info.json) are materials."""
     plot: Path | None = None
     """Where to write a picture of lights and views (BTFs only; default: none is written)."""
     no_plot: bool = False

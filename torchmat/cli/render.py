@@ -31,7 +31,7 @@ class Render:
     bounds: ClassVar = {"size": FROM_1, "exposure": POSITIVE, "environment_lights": FROM_1}
 
     material: Annotated[str, tyro.conf.Positional]
-    """Material folder, shading map (.3pm), GLB (.glb), BRDF file (.binary, .bsdf), or a BTF."""
+    """Material folder, shading map (.3pm), GLB (.glb), RTI file (.ptm, .rti, info.json), BRDF file (.binary, .bsdf), or a BTF."""
     out: Path | None = None
     """Folder for the pictures (default: pictures/ inside the material folder, else in the current one)."""
     scene: Path | None = None
@@ -87,13 +87,12 @@ class Render:
             check_there(find_file(self.scene, "scenes"))
 
     def run(self) -> None:
-        from torchmat.report.describe import is_material
-
+        from torchmat.material_io.folder import MANIFEST
         from torchmat.rendering.scene_file import load_scene
 
         scene = None if self.scene is None else load_scene(self.scene)
         shader = self._load()
-        inside = Path(self.material).is_dir() and is_material(self.material)
+        inside = (Path(self.material) / MANIFEST).is_file()
         folder = self.out or (Path(self.material) / "pictures" if inside else Path("pictures"))
         if scene is not None:
             with phase(f"rendering {self.scene}"):

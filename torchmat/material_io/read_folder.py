@@ -12,10 +12,10 @@ import torch
 
 from torchmat.errors import DataError, TorchmatError, check_finite, check_option, message
 from torchmat.images import read_image
+from torchmat.material_io.files import reader_of
 from torchmat.material_io.folder import FORMAT, MANIFEST, VERSIONS
 from torchmat.material_io.gltf_material import is_glb, material_of
 from torchmat.material_io.painted import check_hues, in_channels, in_size
-from torchmat.material_io.volume import is_volume, read_volume
 from torchmat.models import MATERIALS, Material
 from torchmat.models.cutout import Cutout
 from torchmat.models.relief_maps import FAST
@@ -134,13 +134,15 @@ def load_material(path: str | Path) -> Material:
     in the manifest.
 
     Args:
-        path: a material folder, a ``.3pm`` file (`read_volume`), or a ``.glb`` (`material_of`).
+        path: a material folder; a ``.3pm`` file, whose BRDF is Lambert's (`volume.read_volume`); a ``.glb`` (`gltf.material_of`); or
+            coefficients of RTI programs: a ``.ptm`` or ``.rti`` file, or a folder of relight's with its ``info.json``.
 
     Raises DataError, naming the file, when a texture is missing, cannot be converted or leaves its range, or when the
     manifest's version is unknown.
     """
-    if is_volume(path):
-        return read_volume(path)
+    read = reader_of(path)
+    if read is not None:
+        return read(path)
     if is_glb(path):
         return material_of(path)
     folder = Path(path)

@@ -38,7 +38,7 @@ def export(
     Args:
         material: what to write.
         path: the folder or file to write.
-        to: name of an exporter (a key of EXPORTERS: "folder", "3pm", "packed", or a registered one); None takes the one that
+        to: name of an exporter (a key of EXPORTERS: "folder", "packed", "relight" ..., or a registered one); None takes the one that
             the suffix of `path` names.
         provenance: where the material comes from, as JSON has it, which is kept there; None is nothing.
         force: True replaces what torchmat wrote whatever was done to it, and keeps a backup as ``NAME.backup-1``.

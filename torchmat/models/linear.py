@@ -9,14 +9,15 @@ their coefficients. A sum of codes is nearer to photographs at the same bytes, f
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import torch
 from torch import Tensor
 
 from torchmat import safe
-from torchmat.errors import ShapeError, check_option, message
+from torchmat.errors import RangeError, ShapeError, check_option, message
 from torchmat.geometry import normals_from_slopes, slopes_from_height
 from torchmat.models.base import Material, combine
 from torchmat.models.bases import BASES
@@ -77,14 +78,29 @@ class Relightable(Material):
     """A model of reflectance transformation imaging: a sum over functions of the light, in a `space` of its own.
 
     `space` is "linear", or "srgb": the sum is a code, of which 1 is white; below 0 it is black, and above 1 the curve goes on,
-    for measured values may.
+    for measured values may. `code_range` is of a material that was read from 8-bit codes: the values (low, high) that code 0 and
+    code 255 stand for, for each channel of its maps, by which it is written with the same codes again.
     """
 
     bright_at_horizon = True
 
-    def __init__(self, maps: Mapping[str, Tensor], *, space: str = LINEAR, **settings: Any) -> None:
+    def __init__(
+        self, maps: Mapping[str, Tensor], *, space: str = LINEAR, code_range: Sequence[Sequence[float]] | None = None,
+        **settings: Any,
+    ) -> None:
         check_option(self.name, "space", space, SPACES)
-        super().__init__(maps, space=space, **settings)
+        known = {} if code_range is None else {"code_range": [list(pair) for pair in code_range]}
+        super().__init__(maps, space=space, **known, **settings)
+        self._check_code_range()
+
+    def _check_code_range(self) -> None:
+        pairs, count = self.options.get("code_range"), sum(spec.channels for spec in self.own_specs())
+        if pairs is None:
+            return
+        fits = len(pairs) == count and all(len(pair) == 2 and all(map(math.isfinite, pair)) for pair in pairs)
+        if not fits:
+            fact = f"it has {len(pairs)} entries, or some that are something else"
+            raise RangeError(message(self.name, "code_range", f"hold {count} pairs of finite numbers", fact))
 
     def _decoded(self, total: Tensor) -> Tensor:
         return total if self.options["space"] == LINEAR else _from_codes(total.clamp(min=0))

@@ -18,18 +18,19 @@ from torchmat.btf import Btf
 from torchmat.create.textures import find_textures
 from torchmat.images import read_picture
 from torchmat.material_io import load_material
+from torchmat.material_io.files import reader_of
 from torchmat.material_io.folder import MANIFEST
-from torchmat.material_io.volume import is_volume
 from torchmat.models.storage import StoredAs
 from torchmat.report.tables import number, object_text, text_table
 
+_ENTRIES = 8  # of a table that is still shown
 _ALBEDO_DEG = (0, 45, 75)
 _STEPS = 128  # the albedo of Lambert is then right to 2e-4
 
 
 def is_material(path: str | Path) -> bool:
-    """Return whether `path` is a material folder or a shading map's ``.3pm`` file."""
-    return os.path.isfile(Path(path) / MANIFEST) or (is_volume(path) and os.path.isfile(path))
+    """Return whether `path` is a material folder, a shading map's ``.3pm`` file, or coefficients of an RTI program."""
+    return os.path.isfile(Path(path) / MANIFEST) or (reader_of(path) is not None and os.path.exists(path))
 
 
 def _polar_range(directions: Tensor) -> str:
@@ -71,7 +72,7 @@ def describe_material(path: str | Path) -> str:
     facts = [
         ["material", str(path)],
         ["model", material.name],
-        ["options", ", ".join(f"{k}={v}" for k, v in material.options.items()) or "none"],
+        ["options", ", ".join(f"{k}={_brief(v)}" for k, v in material.options.items()) or "none"],
         ["size", f"{height} x {width} texels"],
         ["bytes per texel (+ shared)", f"{number(material.bytes_per_texel)} (+ {material.shared_bytes})"],
     ]
@@ -102,6 +103,11 @@ def describe_textures(path: str | Path) -> str:
     table = text_table(["map", "file", "size", "channels", "least", "largest"], rows)
     lines = [f"textures   {path}", "", table, "", "torchmat create makes a material of them.", *found.notes()]
     return "\n".join(lines)
+
+
+def _brief(value: object) -> object:
+    """Return an option, or of a long table its length."""
+    return f"{len(value)} entries" if isinstance(value, list) and len(value) > _ENTRIES else value
 
 
 def _stored_text(name: str, stored: StoredAs) -> str:
