@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import pytest
 import torch
 from tests.support import all_pairs, hemisphere, plausible_images
@@ -19,6 +21,25 @@ def own_cache(tmp_path, monkeypatch):
 def seeded():
     """Start every test from the same random state."""
     torch.manual_seed(0)
+
+
+@pytest.fixture(autouse=True)
+def hurried(request, monkeypatch):
+    """Let what ends a fit take a few steps, and the network that a choice tries last: hardly a test is about either.
+
+    The tests of the finish itself take all of its steps.
+    """
+    from torchmat.fitting import finish
+    from torchmat.fitting.recipe import RECIPES
+    from torchmat.geometry import form_factors
+
+    if request.module.__name__.rpartition(".")[2] in ("test_finish", "test_form_factors", "test_indirect"):
+        return
+    monkeypatch.setattr(finish, "_STEPS", 10)
+    monkeypatch.setattr(form_factors, "DIRECTIONS", 24)
+    network = RECIPES["neural"]
+    rungs = tuple(dataclasses.replace(rung, options={**rung.options, "effort": 0.004}) for rung in network.rungs)
+    monkeypatch.setitem(RECIPES, "neural", dataclasses.replace(network, rungs=rungs))
 
 
 @pytest.fixture(params=[torch.float32, torch.float64], ids=["float32", "float64"])

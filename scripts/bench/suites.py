@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import auto
+import brdfs
 import busy
 import compare
 import compiled
@@ -217,6 +218,6 @@ SUITES = {
     "finish": finish.finish, "compiled": compiled.measure, "auto": auto.auto, "scale": scale.scale, "scene": scene.scene,
     "shading_maps": shading_maps.shading_maps,
     "objects": objects.objects, "meshes": meshes.meshes, "compare": compare.compare, "solvers": solvers.solvers,
-    "protocol": protocol.protocol, "busy": busy.busy, "signs": signs.signs, "exports": exports.exports,
+    "protocol": protocol.protocol, "brdfs": brdfs.brdfs, "busy": busy.busy, "signs": signs.signs, "exports": exports.exports,
     "sphere_images": spheres.sphere_images, "sphere_sizes": spheres.sphere_sizes, "sphere_shading": spheres.sphere_shading,
 }

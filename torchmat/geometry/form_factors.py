@@ -20,7 +20,7 @@ _GOLDEN = math.pi * (3 - math.sqrt(5))
 _CLEAR = 1e-3  # texels that a ray has to be below the surface by: one that grazes its own plane meets nothing
 
 
-def form_factors(height: Tensor, tiles: bool = True, directions: int = DIRECTIONS) -> Tensor:
+def form_factors(height: Tensor, tiles: bool = True, directions: int | None = None) -> Tensor:
     """Return how much of what each texel receives comes from each other, a sparse matrix [H W, H W].
 
     Row i holds the share of the cosine-weighted sphere over texel i that texel j fills, so its sum is what the relief hides of
@@ -30,11 +30,12 @@ def form_factors(height: Tensor, tiles: bool = True, directions: int = DIRECTION
     Args:
         height: [1, H, W] in texture widths.
         tiles: whether the relief repeats; else rays that leave it meet nothing.
-        directions: rays of a texel.
+        directions: rays of a texel; None is 160.
 
     Raises ShapeError or RangeError when the height is not one.
     """
     check_height("form_factors", height)
+    directions = DIRECTIONS if directions is None else directions
     rows, columns = height.shape[-2:]
     normal = normals_from_slopes(slopes_from_height(height, tiles=tiles))
     factors: list[Tensor] = []
