@@ -19,7 +19,7 @@ from torchmat import DataError, load_btf
         ("a.NEF", "a raw camera file", "--encoding linear"),
         ("a.dng", "a raw camera file", "dcraw"),
         ("a.arw", "a raw camera file", "dcraw"),
-        ("felt.btf", r"a BTF in one file \(Bonn's UBO2014 and others\)", "manifest.csv"),
+        ("felt.btf", "a BTF in one file", "manifest.csv"),
         ("felt.h5", "an HDF5 container", "register a reader"),
     ],
 )

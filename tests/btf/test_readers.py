@@ -155,7 +155,7 @@ def test_folders_and_zips_are_read_as_before(toy, tmp_path):
     with pytest.raises(DataError, match="d: the path must be a file for kind 'toy'; it is a folder"):
         tm.load_btf(folder, kind="toy")
     (tmp_path / "a.xyz").write_text("x")
-    with pytest.raises(DataError, match="a.xyz: the path must be a folder or a zip, or a file of kind brdf, toy"):
+    with pytest.raises(DataError, match="a.xyz: the path must be a folder or a zip, or a file of kind brdf, ubo2014, neuralbtf, toy"):
         tm.load_btf(tmp_path / "a.xyz")
 
 

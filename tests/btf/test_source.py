@@ -202,7 +202,7 @@ def test_a_truncated_zip(tmp_path, share):
     [
         ("none", "none: the path must exist; there is nothing. Check the spelling"),
         ("none/manifest.csv", "manifest.csv: the path must exist"),
-        ("plain.png", "plain.png: the path must be a folder or a zip, or a file of kind brdf; it is neither. Give"),
+        ("plain.png", "plain.png: the path must be a folder or a zip, or a file of kind brdf, ubo2014, neuralbtf; it is neither. Give"),
     ],
 )
 def test_no_source(tmp_path, name, text):

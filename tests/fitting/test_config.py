@@ -60,7 +60,7 @@ def test_what_is_not_understood_is_refused(text, overrides, said, tmp_path):
 
 @pytest.mark.parametrize(("text", "said"), [
     ("[data]\nkind = 3", "kind must be one of .*it is 3"),
-    ('[data]\nkind = "ubo"', "Did you mean 'ubo2003'"),
+    ('[data]\nkind = "ubo200"', "Did you mean 'ubo2003'"),
     ("[data]\nkind = []", "kind must be one of"),
     ('[data]\nencoding = "sRGB"', "encoding must be one of 'auto', 'srgb', 'linear'"),
     ('[data]\ninvalid = "masked"', "Did you mean 'mask'"),

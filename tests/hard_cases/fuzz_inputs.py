@@ -18,6 +18,7 @@ from pathlib import Path
 import numpy as np
 import torch
 from tests.brdf.files import merl_bytes, rgl_fields, tensor_bytes
+from tests.btf.dfmf_files import put_small as put_dfmf
 from tests.btf.files import ANGLES, put_btf, put_image, random_codes, zipped
 from tests.material_io.forms import microfacet, rand
 from tests.models.distributions import ALL_PARTS, distribution
@@ -285,6 +286,24 @@ def put_lights(folder: Path) -> Path:
 def put_xyz(folder: Path) -> Path:
     write_image(folder / "a.exr", random_codes(1, (16, 16, 3), "float16"), ("X", "Y", "Z"))
     return folder / "a.exr"
+
+
+def dfmf_putter(**settings: object) -> Put:
+    def put(folder: Path) -> Path:
+        return put_dfmf(folder / "a.btf", **settings)
+
+    return put
+
+
+def put_hdf5(folder: Path) -> Path:
+    import h5py
+
+    with h5py.File(folder / "a.h5", "w") as file:
+        file["ground_light"] = np.array([[0, 0], [0.6, 0], [0, -0.6]], np.float32)
+        file["ground_camera_dir"] = np.zeros((3, 2), np.float32)
+        images = np.random.default_rng(0).random((3, 2, 3, 3), np.float32)
+        file.create_dataset("ground_color", data=images, chunks=(1, 2, 3, 3), compression="gzip", fletcher32=True)
+    return folder / "a.h5"
 
 
 def put_merl_gz(folder: Path) -> Path:

@@ -5,14 +5,16 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 import torch
 from tests.btf.files import directions_of
 from tests.hard_cases.fuzz_inputs import (
-    Put, coefficients_putter, image_putter, material_putter, mesh_putter, named_putter, put_cached, put_config, put_distribution,
-    put_glb, put_gltf, put_lights, put_manifest, put_merl, put_merl_gz, put_merl_zip, put_mtlx, put_named_lights, put_packed, put_polygons,
+    Put, coefficients_putter, dfmf_putter, image_putter, material_putter, mesh_putter, named_putter, put_cached, put_config,
+    put_distribution, put_glb, put_gltf, put_hdf5, put_lights, put_manifest, put_merl, put_merl_gz, put_merl_zip, put_mtlx,
+    put_named_lights, put_packed, put_polygons,
     put_quantised, put_rti, put_small, put_stereo, put_textures, put_vendors_textures, put_volume, put_xyz, put_zip,
     relief_putter, rgl_putter,
 )
@@ -237,6 +239,9 @@ READERS = [
     Reader("MERL, zip", put_merl_zip, _read_brdf, exact=_CHECKED),
     Reader("MERL as a BTF", put_merl, _read_btf, exact=("cut",)),
     Reader(".bsdf as a BTF", rgl_putter(5), _read_btf, exact=("cut",)),
+    Reader("UBO2014 .btf", dfmf_putter(scalar=4), _read_btf, exact=("cut",)),
+    Reader("UBO2014 .btf, logarithms", dfmf_putter(scalar=2, model=11, cosine=False, by_images=True), _read_btf, exact=("cut",)),
+    *([Reader("NeuralBTF .h5", put_hdf5, _read_btf, exact=("cut",))] if find_spec("h5py") else []),
     Reader("config", put_config, _read_config, names_key=True),
     *[Reader(f"mesh, {kind}", mesh_putter(kind), _read_mesh, exact=("cut",) if kind in ("ply", "stl", "glb") else ())
       for kind in ("obj", "ply", "ply_ascii", "stl", "stl_ascii", "glb", "off")],

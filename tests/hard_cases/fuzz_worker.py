@@ -16,7 +16,7 @@ from tests.hard_cases.fuzz_inputs import MADE
 from tests.hard_cases.fuzz_readers import BY_NAME, Reader, digest
 from tests.hard_cases.mutate import NAMES, Change, cut, flip, in_bytes, in_table
 from tests.hard_cases.mutate_formats import (
-    glb_fields, image_fields, in_glb, in_json, in_png, in_zip, lying_zip, merl_fields, stl_fields, tensor_fields,
+    dfmf_fields, glb_fields, hdf5_fields, image_fields, in_glb, in_json, in_png, in_zip, lying_zip, merl_fields, stl_fields, tensor_fields,
     zip_fields,
 )
 
@@ -29,7 +29,7 @@ Tree = dict[str, "bytes | Path | None"]  # content, target of a link, or None fo
 
 _FIELDS = {
     ".zip": zip_fields, ".npz": zip_fields, ".glb": glb_fields, ".bsdf": tensor_fields, ".binary": merl_fields,
-    ".stl": stl_fields,
+    ".stl": stl_fields, ".btf": dfmf_fields, ".h5": hdf5_fields,
     **dict.fromkeys((".jpg", ".exr", ".tif", ".hdr", ".bmp", ".tga", ".ppm"), image_fields),
 }
 _CHANGES: dict[str, tuple[Change, ...]] = {

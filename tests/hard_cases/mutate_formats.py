@@ -119,6 +119,18 @@ def stl_fields(data: bytes) -> list[Field]:
     return [(80, "<I")] * 5 + _by_step(84, len(data) - 3, 4, "<f")
 
 
+def dfmf_fields(data: bytes) -> list[Field]:
+    """Return the numbers in the head of a DFMF, wherever they begin, and some of its factors."""
+    end = min(len(data), 700)
+    return _by_step(10, end - 3, 1, "<I") + _by_step(250, end - 3, 4, "<f") + _by_step(end, len(data) - 7, 8, "<d")
+
+
+def hdf5_fields(data: bytes) -> list[Field]:
+    """Return the numbers of an HDF5's records, which lie at any byte of what is no data."""
+    end = min(len(data), 4000)
+    return _by_step(0, end, 1, "<B") + _by_step(0, end - 3, 2, "<I") + _by_step(0, end - 7, 4, "<Q")
+
+
 def in_json(data: bytes, chance: Random) -> bytes:
     """Change the tree of a JSON file."""
     return in_tree(json.loads(data), chance).encode()

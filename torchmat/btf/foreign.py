@@ -16,6 +16,7 @@ _FITTED = (
     "maps of its own. As it is it is a material: torchmat info, render and export take it."
 )
 _LIGHTS = "Export the light positions from it as an .lp file, and give that or the photographs' folder."
+_ONE_FILE = "Give the file itself where it lies in a folder or zip; if this is it, it begins "
 _ELSEWHERE = "Export its images, and write a manifest.csv with a line for each, or register a reader (tm.register_reader)."
 
 # By suffix: what the format is called, and what to do.
@@ -25,9 +26,8 @@ FORMATS: dict[str, tuple[str, str]] = {
     ".hsh": ("a fitted RTI file (hemispherical harmonics), not the photographs", _FITTED),
     ".relight": ("a project of RelightLab, not the photographs", _LIGHTS),
     ".dome": ("a dome description of RelightLab, not the photographs", _LIGHTS),
-    ".btf": ("a BTF in one file (Bonn's UBO2014 and others), which no reader here takes", _ELSEWHERE),
-    ".h5": ("an HDF5 container, which no reader here takes", _ELSEWHERE),
-    ".hdf5": ("an HDF5 container, which no reader here takes", _ELSEWHERE),
+    ".btf": ("a BTF in one file", _ONE_FILE + "not as Bonn's UBO2014 do. " + _ELSEWHERE),
+    **dict.fromkeys((".h5", ".hdf5"), ("an HDF5 container", _ONE_FILE + "not as HDF5 does. " + _ELSEWHERE)),
     ".mat": ("a MATLAB file", "Save its lights as text, x y z a line, and its images as PNG or EXR."),
     **dict.fromkeys(
         (

@@ -65,8 +65,8 @@ def load_btf(
     Args:
         path: a folder, a zip, or a file that a registered reader takes; the ``manifest.csv`` or ``light_directions.txt`` itself
             means its folder, an ``.lp`` file this one table, with photographs in its folder or else in the one above.
-        kind: "ubo2003", "utia", "manifest", "rti", "stereo", "brdf" or the name of another reader (`register_reader`);
-            None finds it from the content.
+        kind: "ubo2003", "utia", "manifest", "rti", "stereo", "brdf", "ubo2014", "neuralbtf" or the name of another reader
+            (`register_reader`); None finds it from the content.
         encoding: "srgb", "linear" or "xyz"; "auto" reads integer files as sRGB, floating-point files as linear, and EXR
             files with the channels X, Y, Z as CIE XYZ under D65. XYZ becomes linear Rec. 709 RGB.
         exposure: factor that the images were exposed with, above 0; values are divided by it.

@@ -15,6 +15,7 @@ from torch import Tensor
 
 from torchmat.btf.brdf_file import BRDF
 from torchmat.btf.foreign import told, told_of_all
+from torchmat.btf.hdf5 import NEURALBTF
 from torchmat.btf.light_table import parse_intensities
 from torchmat.btf.listing import Listing, is_image
 from torchmat.btf.lit import KIND
@@ -24,13 +25,14 @@ from torchmat.btf.names import UBO2003, UTIA
 from torchmat.btf.reader import DTYPES, READERS, Pixels, Reader, register_reader
 from torchmat.btf.source import File, Folder, Zip
 from torchmat.btf.stereo import STEREO
+from torchmat.btf.ubo2014 import UBO2014
 from torchmat.errors import DataError, message
 
 _UNIT_TOLERANCE = 1e-3
 _ROUNDED = 0.01  # what rounding to two decimals may do to a length
 _VARYING = 1.05  # lengths that differ more are those of positions
 
-for _reader in (MANIFEST, RTI, UBO2003, UTIA, STEREO, BRDF):
+for _reader in (MANIFEST, RTI, UBO2003, UTIA, STEREO, BRDF, UBO2014, NEURALBTF):
     register_reader(_reader)
 
 

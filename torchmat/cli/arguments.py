@@ -26,7 +26,7 @@ class DataArguments:
     no_cache: bool = False
     """Decode anew and leave nothing behind."""
     kind: str | None = None
-    """manifest, rti, ubo2003, utia, stereo, brdf, or another reader's name; found from the content when left out."""
+    """manifest, rti, ubo2003, utia, stereo, brdf, ubo2014, neuralbtf, or another reader's name; found from the content when left out."""
     encoding: str | None = None
     """auto, srgb, linear, or xyz: CIE XYZ under D65, even where the channels are called R, G, B."""
     exposure: float | None = None

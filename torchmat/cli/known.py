@@ -63,7 +63,7 @@ CHOICES: dict[str, dict[str, tuple[object, ...]]] = {
 }
 STORAGES = ("half", "float", "png8", "png16", "tiff8", "tiff16", "paint8", "paint16")
 ENCODINGS = ("auto", "srgb", "linear", "xyz")
-KINDS = ("manifest", "rti", "ubo2003", "utia", "stereo", "brdf")
+KINDS = ("manifest", "rti", "ubo2003", "utia", "stereo", "brdf", "ubo2014", "neuralbtf")
 HOLDOUT_WAYS = ("pair", "light", "view", "both", "arc")
 MEASURES = ("none", "quick", "full")
 FILTERS = ("bilinear", "nearest", "area")
