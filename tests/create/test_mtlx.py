@@ -54,7 +54,7 @@ def test_files_are_what_the_surface_makes_of_them(folder):
     }
     found = find_textures(folder)
     assert is_texture_set(folder) and dict(found.rows())["roughness"] == "two.png, green"
-    assert found.left_out == {"four.png": "named by the document alone: torchmat has no place for it"}
+    assert found.left_out == {"four.png": "what the document makes of it: torchmat has no place for it"}
     assert set(read_textures(found)) == {"color", "roughness", "metalness", "normalgl", "displacement"}
     assert microfacet_from_textures(folder, height_scale=0).options["parts"] == ["normal"]
 

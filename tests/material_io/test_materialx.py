@@ -65,25 +65,32 @@ MATERIALS = {
 }
 
 
+@pytest.fixture(scope="module")
+def library():
+    """MaterialX and its library of nodes."""
+    mx = pytest.importorskip("MaterialX", reason="MaterialX is not installed: pip install materialx")
+    found = mx.createDocument()
+    mx.loadLibraries(mx.getDefaultDataLibraryFolders(), mx.getDefaultDataSearchPath(), found)
+    return mx, found
+
+
 @pytest.mark.parametrize("form", FORMS)
 @pytest.mark.parametrize("name", MATERIALS)
-def test_materialx_validates_and_generates_shaders(tmp_path, name, form):
-    mx = pytest.importorskip("MaterialX", reason="MaterialX is not installed: pip install materialx")
+def test_materialx_validates_and_generates_shaders(library, tmp_path, name, form):
+    mx, library = library
     import MaterialX.PyMaterialXGenGlsl as glsl
     import MaterialX.PyMaterialXGenShader as gen
 
     tm.export(MATERIALS[name](), tmp_path / "m", to="materialx", form=form)
-    library, document = mx.createDocument(), mx.createDocument()
-    search = mx.getDefaultDataSearchPath()
-    mx.loadLibraries(mx.getDefaultDataLibraryFolders(), search, library)
+    document = mx.createDocument()
     mx.readFromXmlFile(document, str(tmp_path / "m" / DOCUMENT))
     document.setDataLibrary(library)
     valid, told = document.validate()
     assert valid, told
-    context = gen.GenContext(glsl.EsslShaderGenerator.create())
-    context.registerSourceCodeSearchPath(search)
+    generator = glsl.EsslShaderGenerator.create()
+    context = gen.GenContext(generator)
+    context.registerSourceCodeSearchPath(mx.getDefaultDataSearchPath())
     nodes = gen.findRenderableElements(document)
     assert [node.getName() for node in nodes] == ["material"]
-    shader = context.getShaderGenerator().generate("material", nodes[0], context)
-    source = shader.getSourceCode("pixel")
+    source = generator.generate("material", nodes[0], context).getSourceCode("pixel")
     assert ("open_pbr_surface" in source or "generalized_schlick" in source) and len(source) > 1000

@@ -83,7 +83,7 @@ class Export:
         where = sample_path() if self.btf == SAMPLE and not Path(self.btf).exists() else self.btf
         with phase(f"reading {Path(self.btf).name}"):
             btf = load_btf(where, **(data if isinstance(data, dict) else {}))
-        split = {"holdout": 0.2, "holdout_by": "pair", "seed": 0}
+        split: dict[str, Any] = {"holdout": 0.2, "holdout_by": "pair", "seed": 0}
         split |= {name: provenance[name] for name in split if name in provenance}
         found = split_samples(btf, split["holdout"], split["holdout_by"], split["seed"])
         return {"btf": btf, "samples": found.held_out if len(found.held_out) else None}

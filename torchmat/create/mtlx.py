@@ -32,11 +32,13 @@ class Named(NamedTuple):
 
 
 class MtlxFiles(NamedTuple):
-    """What a document says: the file of each kind of map (`texture_names.KINDS`), and all that it names."""
+    """What a document says: the file of each kind of map (`texture_names.KINDS`), all that it names, and those whose names
+    must tell, for they feed one input together."""
 
     document: Path
     kinds: dict[str, Named]
     every: frozenset[Path]
+    open: frozenset[Path] = frozenset()
 
 
 def document_of(folder: Path) -> Path | None:
@@ -67,6 +69,7 @@ class _Document:
     def files(self) -> MtlxFiles:
         """Return what the document says of its files."""
         kinds: dict[str, Named] = {}
+        together: set[Path] = set()
         shaders = [node for node in self.root if node.tag in (*_SURFACES, "displacement")]
         for shader in shaders:
             for one in shader.findall("input"):
@@ -76,13 +79,14 @@ class _Document:
                 found = self._fed_by(one, self.root)
                 if len(found) == 1:
                     kinds[kind] = found.pop()
+                together |= {named.path for named in found} if len(found) > 1 else set()
         self._check_colour(kinds.get("color"))
         for scope in (self.root, *self.root.findall("nodegraph")):
             for node in scope:
                 for one in node.findall("input"):
                     if one.get("type") == "filename" and (one.get("value") or one.get("interfacename")):
                         self.named.add(self._file(one, scope))
-        return MtlxFiles(self.path, kinds, frozenset(self.named))
+        return MtlxFiles(self.path, kinds, frozenset(self.named), frozenset(together))
 
     def _check_colour(self, colour: Named | None) -> None:
         """Raise DataError for a colour that is said to be linear where pictures are read as sRGB."""

@@ -153,10 +153,10 @@ def _tell_named(kinds: dict[Path, str | None], given: MtlxFiles) -> None:
         used = [(kind, named.channel) for kind, named in given.kinds.items() if named.path == path]
         if used and used[0][1] is None:
             kinds[path] = used[0][0]
-        elif kinds[path] in (None, "preview"):
-            kinds[path] = "no place: named by the document alone"
-            if used:  # by channels, whatever its name
-                del kinds[path]
+        elif used:  # by channels, whatever its name
+            del kinds[path]
+        elif path not in given.open:
+            kinds[path] = "no place: what the document makes of it"
 
 
 def _refuse_unknown(folder: Path, kinds: dict[Path, str | None]) -> None:

@@ -74,8 +74,8 @@ def _with_mesh(buffer: Buffer, mesh: Any) -> dict[str, Any]:
     """Return the tree of a scene of one mesh, whose numbers go into the buffer."""
     if isinstance(mesh, str) and mesh == "quad":
         position = np.array([[-0.5, -0.5, 0], [0.5, -0.5, 0], [-0.5, 0.5, 0], [0.5, 0.5, 0]], np.float32)
-        normal, tangent = np.tile(np.float32([0, 0, 1]), (4, 1)), np.tile(np.float32([1, 0, 0, 1]), (4, 1))
-        uv, faces = np.float32([[0, 1], [1, 1], [0, 0], [1, 0]]), np.array([0, 1, 3, 0, 3, 2])
+        normal, tangent = (np.tile(np.array(one, np.float32), (4, 1)) for one in ([0, 0, 1], [1, 0, 0, 1]))
+        uv, faces = np.array([[0, 1], [1, 1], [0, 0], [1, 0]], np.float32), np.array([0, 1, 3, 0, 3, 2])
         name = "quad"
     elif all(hasattr(mesh, part) for part in MeshArrays.__annotations__):
         position, normal, uv = (np.array(getattr(mesh, part).numpy(), np.float32) for part in ("position", "normal", "uv"))
@@ -140,7 +140,7 @@ class _Textures:
         }
 
     def _base(self) -> dict[str, Any]:
-        planes, mode = [self.maps.base_colour], {}
+        planes, mode = [self.maps.base_colour], dict[str, Any]()
         if "opacity" in self.form.maps:
             opacity = self.form.maps["opacity"].detach()
             planes.append(opacity)

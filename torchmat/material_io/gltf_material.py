@@ -196,7 +196,8 @@ class _Reader:
         if "anisotropy" not in self.more:
             return {}
         table = self.more["anisotropy"]
-        strength, turn = self._number(table, "anisotropyStrength", 0.0, 0, 1), self._number(table, "anisotropyRotation", 0.0, -1e6)
+        strength = self._number(table, "anisotropyStrength", 0.0, 0, 1) * ones
+        turn = self._number(table, "anisotropyRotation", 0.0, -1e6)
         direction = torch.stack((ones[0], 0 * ones[0]))
         texture = self._map(table, "anisotropyTexture")
         if texture is not None:
@@ -206,7 +207,7 @@ class _Reader:
         direction = safe.normalise(torch.stack((cosine * x - sine * y, sine * x + cosine * y)))
         none = (direction == 0).all(dim=0, keepdim=True)
         direction = torch.where(none, torch.tensor([1.0, 0.0])[:, None, None], direction)
-        return {"roughness": alphas_of_gltf(rough, strength * ones).sqrt(), "rotation": direction.clamp(-1, 1)}
+        return {"roughness": alphas_of_gltf(rough, strength).sqrt(), "rotation": direction.clamp(-1, 1)}
 
     def _normal(self) -> tuple[dict[str, Tensor], set[str]]:
         texture = self._map(self.described, "normalTexture")

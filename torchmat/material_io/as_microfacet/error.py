@@ -49,8 +49,7 @@ def shading_error(native: Material, held: Material) -> float:
         target, found = (shade_pairs(material, light[some], view[some]).double() for material in (one, other))
         error += float((found - target).square().sum())
         energy += float(target.square().sum())
-    result = relative(error, energy)
-    return float("nan") if result is None else result
+    return _known(relative(error, energy))
 
 
 def held_out_error(held: Material, btf: Btf, samples: Tensor | None = None) -> float:
@@ -66,4 +65,8 @@ def held_out_error(held: Material, btf: Btf, samples: Tensor | None = None) -> f
         target = btf.images(some, held.dtype)
         found = shade_pairs(held, btf.light[some], btf.view[some])
         errors.add(found, target, btf.valid(some), btf.saturated(some, target), torch.zeros(len(some), dtype=torch.bool))
-    return errors.report()["relative_error"]
+    return _known(errors.pooled()["relative_error"])
+
+
+def _known(error: float | None) -> float:
+    return float("nan") if error is None else error

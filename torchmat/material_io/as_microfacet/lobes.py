@@ -81,7 +81,8 @@ def fit_lobes(material: Distribution, r0: float) -> Lobes:
         found = levenberg_marquardt(residual, start, low, high, max_steps=_STEPS, tolerance=1e-6).parameters
         share = seen.share(*found.T)
         strength, diffuse, _ = solve_two(share, cosine.expand_as(share), target)
-    return Lobes(*found.T, strength.T, diffuse.T)
+    along, across, turn = found.T
+    return Lobes(along, across, turn, strength.T, diffuse.T)
 
 
 def _started(seen: _Seen) -> Tensor:
@@ -105,8 +106,8 @@ def solve_two(first: Tensor, second: Tensor, target: Tensor) -> tuple[Tensor, Te
     """Return the factors [3, K] >= 0 of two columns [n, K] or [n] for `target` [n, 3, K], and the squares left [K]."""
     first, second = (column if column.ndim > 1 else column[:, None] for column in (first, second))
     p, q = ((column[:, None] * target).sum(dim=0) for column in (first, second))
-    sums = (one.sum(dim=0) for one in (first * first, first * second, second * second))
-    x, y, left = solve_sums(*sums, p, q)
+    a, b, c = (one.sum(dim=0) for one in (first * first, first * second, second * second))
+    x, y, left = solve_sums(a, b, c, p, q)
     return x, y, ((target * target).sum(dim=0) + left).sum(dim=0).clamp(min=0)
 
 

@@ -122,7 +122,7 @@ class _Sums:
             if key != known:
                 pair = (shape.across, shape.along) if shape.turned else (shape.along, shape.across)
                 squares = squared_alpha(torch.tensor(pair))[:, None, None]
-                share, known = ggx_share(*local, squares, _GRAZING), key
+                share, known = ggx_share(local[0], local[1], local[2], squares, _GRAZING), key
             first = share * (shape.r0 + (1 - shape.r0) * rise)
             self.a[number] += (first * first).sum(dim=0)
             self.b[number] += (first * cosine).sum(dim=0)
