@@ -182,6 +182,7 @@ RTI_HEAD = b"#HSH1.2\n3\n1 1 3\n4 2 1\n" + np.ones(8, "<f4").tobytes()
     ("a.rti", RTI_HEAD.replace(b"\n3\n", b"\n1\n") + bytes(12), "the head says kind 1, 3 colours, 4 terms of 1 bytes"),
     ("a.rti", RTI_HEAD.replace(b"4 2 1", b"5 2 1") + bytes(12), "4, 9, 16 terms of 1 byte"),
     ("a.rti", RTI_HEAD[:22] + b"\0\0\xc0\x7f" + RTI_HEAD[26:] + bytes(12), "scales and offsets must be finite"),
+    ("a.rti", RTI_HEAD[:22] + b"\1\0\xa0\x7f" + RTI_HEAD[26:] + bytes(12), "scales and offsets must be finite"),  # it signals
 ])
 def test_files_that_lie(name, data, words, tmp_path):
     (tmp_path / name).write_bytes(data)

@@ -54,7 +54,8 @@ def read_rti(path: str | Path) -> Material:
         with open(path, "rb") as stream:
             head = _read_head(path, stream.read(_LONGEST), os.fstat(stream.fileno()).st_size)
             stream.seek(head.bytes)
-            ranges = np.frombuffer(stream.read(8 * head.terms), "<f4").astype(np.float64)
+            with np.errstate(invalid="ignore"):  # of a NaN that signals, which is refused below
+                ranges = np.frombuffer(stream.read(8 * head.terms), "<f4").astype(np.float64)
             data = np.frombuffer(stream.read(head.body - 8 * head.terms), np.uint8)
     except OSError as error:
         raise DataError(message(str(path), "the RTI", "be readable", str(error), "Check the path.")) from error
