@@ -18,6 +18,7 @@ from torchmat.btf.brdf_file import hemispheres
 from torchmat.btf.split import split_samples
 from torchmat.fitting.models.lobe import fit_lobe
 
+_EFFORT = 0.3  # of the usual steps
 _ANISOTROPIC = "brushed (Ward, anisotropic)"
 
 
@@ -60,7 +61,7 @@ def brdfs(seed: int = 0) -> list[dict[str, Any]]:
     for name, btf in _data().items():
         rows.append({"data": name, "kind": "best formula", **_best_formula(btf, seed)})
         for model in ("microfacet", "distribution"):
-            result = tm.fit(btf, model, geometry="flat", seed=seed, measure="none", progress=False)
+            result = tm.fit(btf, model, geometry="flat", seed=seed, measure="none", progress=False, effort=_EFFORT)
             material, rest = result.material.as_exported(), result.split.held_out
             with torch.no_grad():
                 predicted = material.shade(*(d[rest][:, :, None, None].to(material.dtype) for d in (btf.light, btf.view)))[:, :, 0, 0]
