@@ -24,6 +24,7 @@ import signs
 import solvers
 import spheres
 import torch
+import wishes
 from generated import large_btf
 from measure import SHARED, in_fresh_process, median_of, timed
 
@@ -218,6 +219,6 @@ SUITES = {
     "finish": finish.finish, "compiled": compiled.measure, "auto": auto.auto, "scale": scale.scale, "scene": scene.scene,
     "shading_maps": shading_maps.shading_maps,
     "objects": objects.objects, "meshes": meshes.meshes, "compare": compare.compare, "solvers": solvers.solvers,
-    "protocol": protocol.protocol, "brdfs": brdfs.brdfs, "busy": busy.busy, "signs": signs.signs, "exports": exports.exports,
+    "protocol": protocol.protocol, "brdfs": brdfs.brdfs, "wishes": wishes.wishes, "busy": busy.busy, "signs": signs.signs, "exports": exports.exports,
     "sphere_images": spheres.sphere_images, "sphere_sizes": spheres.sphere_sizes, "sphere_shading": spheres.sphere_shading,
 }
