@@ -17,6 +17,7 @@ from torchmat.machine import package_version
 from torchmat.material_io.exporter import Exporter, Losses
 from torchmat.material_io.orm import write_set
 from torchmat.material_io.renderer_form import losses_of_form, microfacet_form
+from torchmat.models.indirect import BETWEEN
 from torchmat.models import Distribution, Lambert, Material, Microfacet, PhongSrf, Texture
 from torchmat.models.relief_maps import COMMON_MAPS
 
@@ -61,7 +62,7 @@ def _plugin(material: Material, path: Path) -> Losses:
     if not own:
         assert isinstance(flat, Microfacet)
         return losses_of_form(material, flat, flat)
-    lost = {name: _OF_RELIEF for name in ("height", "ambient") if name in material.maps}
+    lost = {name: _OF_RELIEF for name in ("height", *BETWEEN) if name in material.maps}
     exact = tuple(spec.name for spec in material.specs() if spec.name not in lost)
     return Losses(exact, {}, lost, held=flat)
 

@@ -12,7 +12,8 @@ from torchmat.material_io.as_microfacet import as_microfacet
 from torchmat.material_io.exporter import Losses
 from torchmat.models import Material, Microfacet
 from torchmat.models.microfacet import MICROFACET_PARTS
-from torchmat.models.relief_maps import AMBIENT, HEIGHT
+from torchmat.models.indirect import BETWEEN, BETWEEN_MAPS
+from torchmat.models.relief_maps import HEIGHT
 from torchmat.models.renderers import sorted_alphas
 from torchmat.progress import phase
 
@@ -53,8 +54,8 @@ def losses_of_form(
         approximated: what is to be said of parts beside their difference.
         extra: maps of the relief that the form holds beside them.
     """
-    relief = {spec.name: material.maps[spec.name] for spec in (HEIGHT, AMBIENT) if spec.name in material.maps}
-    why = {HEIGHT.name: "it stays in the normals alone: " + _NO_PARALLAX, AMBIENT.name: "light from texel to texel has no place"}
+    relief = {spec.name: material.maps[spec.name] for spec in (HEIGHT, *BETWEEN_MAPS) if spec.name in material.maps}
+    why = {HEIGHT.name: "it stays in the normals alone: " + _NO_PARALLAX, **dict.fromkeys(BETWEEN, "light from texel to texel has no place")}
     given = {name: reason for name, reason in (lost or {}).items() if name in form.maps or name in relief or name in form.options["parts"]}
     gone = given | {name: why[name] for name in relief if name not in (extra or {}) and name not in given}
     found = Losses.of_maps(form, held.maps, {name: reason for name, reason in gone.items()})

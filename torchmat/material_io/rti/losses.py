@@ -6,6 +6,7 @@ import torch
 
 from torchmat.material_io.exporter import Losses
 from torchmat.material_io.rti.sampled import CHECKED, FITTED, is_rti, sees_the_view, shading_error
+from torchmat.models.indirect import BETWEEN
 from torchmat.models import Material
 
 _COEFFICIENTS = "coefficients"
@@ -18,7 +19,7 @@ def losses_of(material: Material, written: Material, found: Material, form: str)
     lost = {}
     if sees_the_view(material):
         lost["view"] = "it is seen along the normal only"
-    lost |= {name: "its light and shadow are in the coefficients" for name in ("height", "ambient") if name in material.maps}
+    lost |= {name: "its light and shadow are in the coefficients" for name in ("height", *BETWEEN) if name in material.maps}
     if "opacity" in material.maps:
         lost["opacity"] = "a hole is black"
     if material.cutout is not None:
