@@ -31,6 +31,7 @@ _MOST_LOBES = 12
 # on all of them. It changes what is lit at 1 degree, and seen as flatly, by 0.3 %.
 _GRAZING = 1e-4
 _PARTS = 16
+_LEAST_RISE = 1e-12  # that a logarithm is taken of
 
 
 def distribution_specs(lobes: int, parts: Sequence[str], mask_channels: int = 1) -> tuple[MapSpec, ...]:
@@ -175,7 +176,9 @@ class Distribution(Material):
 
     def _rise(self, grazing: Tensor) -> Tensor:
         exponent = self.options["fresnel_exponent"]
-        if isinstance(exponent, Tensor) or exponent >= 1:
+        if isinstance(exponent, Tensor):  # exp and log round alike in every thread's share, a power does not
+            return (exponent * grazing.clamp(min=_LEAST_RISE).log()).exp()
+        if exponent >= 1:
             return grazing**exponent
         return safe.power(grazing, torch.tensor(exponent, dtype=grazing.dtype))  # its slope at 0 is infinite
 
