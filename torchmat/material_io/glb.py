@@ -7,7 +7,7 @@ import os
 import struct
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 
@@ -106,32 +106,43 @@ class Glb:
 
 
 def read_glb(path: str | Path) -> Glb:
-    """Return the tree and the buffer of a GLB; raises DataError, which names the file, when it is none or is cut short."""
+    """Return the tree and the buffer of a GLB; no more is read than its head says.
+
+    Raises DataError, which names the file, when it is none or is cut short.
+    """
     path = Path(path)
     try:
-        size = os.path.getsize(path)
-        data = path.read_bytes() if size <= _MOST else b""
-    except (OSError, ValueError) as error:
-        raise DataError(message(str(path), "the GLB", "be readable", str(error), "Check the path.")) from error
-    if len(data) < 20 or data[:4] != b"glTF":
+        with open(path, "rb") as stream:
+            text, buffer = _chunks(path, stream, os.fstat(stream.fileno()).st_size)
+    except (OSError, ValueError, MemoryError) as error:
+        if isinstance(error, DataError):
+            raise
+        fact = "it does not fit into memory" if isinstance(error, MemoryError) else str(error)
+        raise DataError(message(str(path), "the GLB", "be readable", fact, "Check the path.")) from error
+    return Glb(path, _tree(path, text), buffer)
+
+
+def _chunks(path: Path, stream: BinaryIO, size: int) -> tuple[bytes, bytes]:
+    """Return the bytes of the tree and of the buffer."""
+    head = stream.read(12)
+    if len(head) < 12 or head[:4] != b"glTF":
         raise DataError(message(str(path), "the GLB", "start as one does", "it does not", "Export it as glTF binary (.glb)."))
-    version, length = struct.unpack_from("<II", data, 4)
-    if version != 2 or length > len(data):
-        fact = f"it is of version {version}" if version != 2 else f"it has {len(data)} of {length} bytes"
+    version, length = struct.unpack_from("<II", head, 4)
+    if version != 2 or length > size:
+        fact = f"it is of version {version}" if version != 2 else f"it has {size} of {length} bytes"
         raise DataError(message(str(path), "the GLB", "be a whole glTF 2.0", fact, "Export it again as glTF 2.0."))
-    chunks: list[tuple[int, bytes]] = []
-    place = 12
-    while place + 8 <= length and len(chunks) < 2:
-        count, kind = struct.unpack_from("<II", data, place)
-        if place + 8 + count > length:
+    place, found = 12, {}
+    for kind, most in ((_JSON, MOST_BYTES), (_BINARY, _MOST)):
+        start = stream.read(8) if place + 8 <= length else b""
+        count, said = struct.unpack("<II", start) if len(start) == 8 else (0, 0)
+        if kind == _JSON and (said != _JSON or count > most):
+            raise DataError(message(str(path), "the first chunk of the GLB", "be JSON", "it is not", _RESTORE))
+        if place + 8 + count > length and len(start) == 8:
             fact = f"the one at byte {place} is longer"
             raise DataError(message(str(path), "chunks of the GLB", "lie inside of it", fact, _RESTORE))
-        chunks.append((kind, data[place + 8 : place + 8 + count]))
+        found[kind] = stream.read(count) if said == kind else b""
         place += 8 + count
-    if not chunks or chunks[0][0] != _JSON or len(chunks[0][1]) > MOST_BYTES:
-        raise DataError(message(str(path), "the first chunk of the GLB", "be JSON", "it is not", _RESTORE))
-    buffer = chunks[1][1] if len(chunks) > 1 and chunks[1][0] == _BINARY else b""
-    return Glb(path, _tree(path, chunks[0][1]), buffer)
+    return found[_JSON], found[_BINARY]
 
 
 def _tree(path: Path, text: bytes) -> dict[str, Any]:

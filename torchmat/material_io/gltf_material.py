@@ -117,13 +117,14 @@ class _Reader:
         assert isinstance(number, int)
         if number not in self.planes:
             where = f"{self.glb.path}, images {number}"
-            if "bufferView" not in picture or picture.get("mimeType") not in _SUFFIXES:
+            kind = str(picture.get("mimeType"))
+            if "bufferView" not in picture or kind not in _SUFFIXES:
                 step = "Export it as one GLB with PNG or JPEG inside."
-                fact = f"it is of type {picture.get('mimeType')!r:.40}" if "bufferView" in picture else "it lies elsewhere"
+                fact = f"it is of type {kind!r:.40}" if "bufferView" in picture else "it lies elsewhere"
                 raise DataError(message(where, "the picture", "be a PNG or JPEG of the GLB's own buffer", fact, step))
             data = self.glb.view_bytes(picture["bufferView"])
             _check_bound(where, data)
-            self.planes[number] = codes_of_bytes(data, _SUFFIXES[picture["mimeType"]], where)
+            self.planes[number] = codes_of_bytes(data, _SUFFIXES[kind], where)
         return self.planes[number]
 
     def _map(self, table: dict[str, Any], key: str, coded: bool = False) -> Tensor | None:
