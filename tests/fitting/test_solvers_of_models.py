@@ -41,7 +41,9 @@ def test_every_model_names_its_solvers_and_the_first_is_the_default():
 @pytest.mark.parametrize(("model", "solver"), [*STEPPED, ("ptm", "minibatch")])
 def test_what_steps_comes_near_the_closed_form(model, solver):
     btf = small()
-    best, found = (training_error(btf, model=model, **given) for given in ({}, {"solver": solver}))
+    # In codes of a screen the closed form makes another error small than what steps does by default.
+    space = {"space": "linear"} if model in ("ptm", "lptm", "hsh") else {}
+    best, found = (training_error(btf, model=model, **space, **given) for given in ({}, {"solver": solver}))
     assert best * (0.6 if model in ("phong_srf", "lambert", "lptm") else 0.999) <= found <= 1.1 * best + 1e-4
 
 

@@ -61,7 +61,7 @@ def unpacked(path: str | Path) -> Iterator[Path]:
     handle, scratch = tempfile.mkstemp(prefix="torchmat-brdf-", suffix=f".{kind_by_name(path) or 'merl'}")
     try:
         with os.fdopen(handle, "wb") as target:
-            _unpack(path, names[0] if names else None, target)
+            unpack(path, names[0] if names else None, target)
         try:
             yield Path(scratch)
         except DataError as error:
@@ -70,16 +70,31 @@ def unpacked(path: str | Path) -> Iterator[Path]:
         os.unlink(scratch)
 
 
-def _unpack(path: Path, name: str | None, target: BinaryIO) -> None:
+def unpack(path: Path, name: str | None, target: BinaryIO, most: int = _MOST_BYTES) -> None:
+    """Write what a `.gz`, or the member `name` of a zip, holds; raises DataError when it is damaged, or more than `most` bytes."""
     count = 0
     try:
-        opened: IO[bytes] | gzip.GzipFile = gzip.open(path) if name is None else zipfile.ZipFile(path).open(name)
-        with opened as stream:
+        with opened(path, name) as stream:
             while piece := stream.read(_PIECE):
                 count += len(piece)
-                if count > _MOST_BYTES:
-                    raise DataError(message(str(path), "what it unpacks to", "be at most 2 GiB", "it is more", _STEP))
+                if count > most:
+                    fact, requirement = "it is more", f"be at most {most / 2**30:.3g} GiB"
+                    raise DataError(message(str(path), "what it unpacks to", requirement, fact, _STEP))
                 target.write(piece)
-    except (OSError, EOFError, zlib.error, zipfile.BadZipFile, RuntimeError, NotImplementedError, ValueError) as error:
+    except DAMAGED as error:
         fact = str(error) or type(error).__name__
         raise DataError(message(str(path), "the archive", "unpack without damage", fact.rstrip("."), _STEP)) from error
+
+
+DAMAGED = (OSError, EOFError, zlib.error, zipfile.BadZipFile, RuntimeError, NotImplementedError, ValueError)
+
+
+@contextmanager
+def opened(path: Path, name: str | None) -> Iterator[IO[bytes]]:
+    """Open a `.gz`, or the member `name` of a zip, to be read from its start."""
+    if name is None:
+        with gzip.open(path) as stream:
+            yield stream
+        return
+    with zipfile.ZipFile(path) as archive, archive.open(name) as member:
+        yield member

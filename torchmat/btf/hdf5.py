@@ -45,7 +45,7 @@ def _open(source: File) -> Any:
         fact, step = "h5py is not installed", "pip install 'torchmat[hdf5]'"
         raise DataError(message(str(source.path), "an HDF5 file", "have h5py to be read with", fact, step)) from error
     try:
-        return h5py.File(source.path, "r")
+        return h5py.File(source.content, "r")
     except OSError as error:
         step = "Check that the download or copy is complete."
         raise DataError(message(str(source.path), "the HDF5 file", "be readable", str(error), step)) from error
@@ -137,9 +137,9 @@ def _sliceable(source: File, file: Any, stored: Any) -> Any:
         where = f"{source.path}: NeuralBTF (HDF5)"
         raise DataError(message(where, f"the chunks of {COLOUR}", "be of at most 1 GiB", fact, step))
     start = stored.id.get_offset()
-    if start is None or stored.chunks is not None or file.userblock_size or start + stored.nbytes > source.path.stat().st_size:
+    if start is None or stored.chunks is not None or file.userblock_size or start + stored.nbytes > source.content.stat().st_size:
         return stored
-    return np.memmap(source.path, stored.dtype, "r", start, stored.shape)
+    return np.memmap(source.content, stored.dtype, "r", start, stored.shape)
 
 
 NEURALBTF = Reader(

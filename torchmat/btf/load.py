@@ -27,7 +27,7 @@ from torchmat.btf.readers import keep_samples, open_source, read_listing, readin
 from torchmat.btf.source import File, Folder, Zip
 from torchmat.btf.stereo import DIRECTIONS
 from torchmat.btf.store import PixelStore
-from torchmat.errors import RangeError, check_option, check_positive, message
+from torchmat.errors import RangeError, TorchmatError, check_option, check_positive, message
 from torchmat.text_file import read_text
 
 INVALID_WAYS, DUPLICATE_WAYS = ("error", "mask"), ("error", "keep")
@@ -133,6 +133,11 @@ def load_btf(
         intensity = None if listing.intensity is None else listing.intensity.float()
         btf = Btf(store, listing.light.float(), listing.view.float(), decoder, origin, clipped_weight, intensity)
         btf = chosen_mask(source, listing, btf, mask, options.crop, options.downscale)
+    except TorchmatError as error:
+        told = source.told(error) if isinstance(source, File) else error
+        if told is error:
+            raise
+        raise told from error.__cause__
     finally:
         source.close()
     return with_estimated_intensities(btf) if estimate else btf

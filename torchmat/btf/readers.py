@@ -22,6 +22,7 @@ from torchmat.btf.lit import KIND
 from torchmat.btf.lp import RTI
 from torchmat.btf.manifest import MANIFEST
 from torchmat.btf.names import UBO2003, UTIA
+from torchmat.btf.packed import packed_file
 from torchmat.btf.reader import DTYPES, READERS, Pixels, Reader, register_reader
 from torchmat.btf.source import File, Folder, Zip
 from torchmat.btf.stereo import STEREO
@@ -56,7 +57,12 @@ def open_source(path: str | Path, kind: str | None = None) -> File | Folder | Zi
     asked = [reader for reader in READERS.values() if reader.one_file and kind in (None, reader.name)]
     if asked:
         file = File(path)
-        if one_file or any(_takes(reader, file) for reader in asked):
+        inner = packed_file(path)
+        if (one_file and inner is None) or any(_takes(reader, file) for reader in asked):
+            return file
+        if inner is not None and any(_takes(reader, inner) for reader in asked):
+            return inner
+        if one_file:
             return file
     if path.suffix.lower() == ".zip" or zipfile.is_zipfile(path):
         return Zip(path)

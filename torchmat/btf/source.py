@@ -15,7 +15,7 @@ from contextlib import contextmanager
 from functools import cached_property
 from pathlib import Path, PurePosixPath
 
-from torchmat.errors import DataError, message
+from torchmat.errors import DataError, TorchmatError, message
 from torchmat.text_file import MOST_BYTES, check_size
 
 _LARGEST_MEMBER = 2**31  # bytes of one file in a zip; a larger one is no photograph
@@ -107,6 +107,15 @@ class File:
         self.path = path
         self.names = [path.name]
         self.fingerprint = _mark(path)
+
+    @property
+    def content(self) -> Path:
+        """Where its bytes lie: a packed file unpacks them for it, and is still called by its `path`."""
+        return self.path
+
+    def told(self, error: TorchmatError) -> TorchmatError:
+        """Return an error about the bytes as one about the file that the user gave."""
+        return error
 
     def start(self, count: int) -> bytes:
         """Return the first `count` bytes, fewer of a shorter file: by them a kind of file is told."""

@@ -37,7 +37,7 @@ def _read(source: File) -> Dfmf:
     if not source.start(_LONGEST).startswith(SIGNATURE):
         fact = f"it begins with {source.start(10)!r}"
         raise DataError(message(str(source.path), "the file", f"begin with {SIGNATURE.decode()}", fact, "Leave `kind` out."))
-    return read_dfmf(source.path)
+    return read_dfmf(source.content)
 
 
 def _listing(source: File) -> Listing:
