@@ -90,7 +90,7 @@ def test_a_crop_decodes_no_other_texels(tmp_path):
 def test_it_is_told_by_its_content_and_says_what_it_took_for_what(tmp_path):
     path = put_small(tmp_path / "wool ü.bin", cosine=False, components=3, scale=(1.5, 1.0, 2.0), rotations=4)
     notes = "\n".join(load_btf(path).source.notes)
-    assert "3, 3, 3 components" in notes and "times its cosine" in notes
+    assert "3, 3, 3 components" in notes and "multiplied by the cosine" in notes
     assert "its scale of RGB, 1.5, 1, 2, is taken as applied" in notes and "4 rotations of local frames are not followed" in notes
 
 
