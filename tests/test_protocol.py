@@ -95,14 +95,14 @@ def test_a_setting_reaches_the_models_that_have_it(protocol):
 
 def test_the_summary_pools_seeds_and_shows_directions_off_the_grid(protocol):
     def row(by, seed, error, **more):
-        return {"data": "a", "model": "ptm:space=srgb", "settings": {"effort": 0.3}, "by": by, "seed": seed, "bytes": 9, "seconds": 2.0 + seed,
+        return {"data": "a", "model": "ptm:space=srgb", "settings": {"effort": 0.3}, "by": by, "seed": seed, "bytes": 9, "shared bytes": 50, "seconds": 2.0 + seed,
                 "dB": 30.0, "error": error, "interval": [error / 2, error * 2], **more}
 
     off = {"random dB": 28.0, "random error": 0.08, "random interval": [0.07, 0.09]}
     lines = protocol.summary([row("pair", 0, 0.02, **off), row("both", 0, 0.1), row("pair", 1, 0.04, **off)])
     name = "ptm:space=srgb,effort=0.3"
     assert lines == [
-        ["a", "new pair", name, 2, 9, 2.5, "30.0", pytest.approx(0.03), "0.01 to 0.08"],
-        ["a", "random directions", name, 2, 9, 2.5, "28.0", pytest.approx(0.08), "0.07 to 0.09"],
-        ["a", "new light and view", name, 1, 9, 2.0, "30.0", 0.1, "0.05 to 0.2"],
+        ["a", "new pair", name, 2, 9, 50, 2.5, "30.0", pytest.approx(0.03), "0.01 to 0.08"],
+        ["a", "random directions", name, 2, 9, 50, 2.5, "28.0", pytest.approx(0.08), "0.07 to 0.09"],
+        ["a", "new light and view", name, 1, 9, 50, 2.0, "30.0", 0.1, "0.05 to 0.2"],
     ]

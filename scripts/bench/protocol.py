@@ -128,7 +128,7 @@ def summary(rows: Sequence[dict[str, Any]]) -> list[list[Any]]:
     for key in dict.fromkeys(_group(row) for row in measured):
         alike = [row for row in measured if _group(row) == key]
         data, by, model = key
-        cost = (len(alike), _mean(alike, "bytes"), _mean(alike, "seconds"))
+        cost = (len(alike), _mean(alike, "bytes"), round(_mean(alike, "shared bytes")), _mean(alike, "seconds"))
         lines.append([data, f"new {'light and view' if by == 'both' else by}", model, *cost, *_pooled(alike)])
         if by == "pair" and "random error" in alike[0]:
             lines.append([data, "random directions", model, *cost, *_pooled(alike, "random ")])
@@ -151,7 +151,7 @@ def _mean(rows: Sequence[dict[str, Any]], key: str) -> float:
     return sum(row[key] for row in rows) / len(rows)
 
 
-HEAD = ("data", "held out", "model", "seeds", "bytes/texel", "fit (s)", "dB", "error", "95 % interval")
+HEAD = ("data", "held out", "model", "seeds", "bytes/texel", "+ shared", "fit (s)", "dB", "error", "95 % interval")
 
 
 def main() -> None:

@@ -20,6 +20,15 @@ def _timing(value: dict) -> str:
     return f"{number(value['seconds'])} ± {number(value['spread'] / 2)}"
 
 
+def _cell(value: object) -> object:
+    """Return a timing, another table of figures, a list, or a plain value for reading."""
+    if isinstance(value, dict) and "spread" in value:
+        return _timing(value)
+    if isinstance(value, dict):
+        return ", ".join(f"{key}={number(_cell(one))}" for key, one in value.items())
+    return ", ".join(str(number(_cell(one))) for one in value) if isinstance(value, list) else value
+
+
 def accuracy() -> None:
     """Print one table a data set: error beside bytes and seconds."""
     rows = _rows("accuracy")
@@ -59,7 +68,7 @@ def others() -> None:
         for _, alike in groupby(_rows(name), key=tuple):
             rows = list(alike)
             head = [key for key in rows[0] if key != "runs"]
-            cells = [[_timing(row[key]) if isinstance(row[key], dict) else row[key] for key in head] for row in rows]
+            cells = [[_cell(row[key]) for key in head] for row in rows]
             print(f"\n### {name}\n")
             print(text_table(head, cells))
 

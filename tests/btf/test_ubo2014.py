@@ -15,6 +15,7 @@ from tests.fitting.reference_scene import relief_scene
 from tests.support import assert_close
 
 from torchmat import DataError, load_btf
+from torchmat.btf import pixels, store
 from torchmat.cli import main
 from torchmat.fitting import recover_geometry
 
@@ -89,7 +90,7 @@ def test_a_crop_decodes_no_other_texels(tmp_path):
 def test_it_is_told_by_its_content_and_says_what_it_took_for_what(tmp_path):
     path = put_small(tmp_path / "wool ü.bin", cosine=False, components=3, scale=(1.5, 1.0, 2.0), rotations=4)
     notes = "\n".join(load_btf(path).source.notes)
-    assert "3, 3, 3 components" in notes and "times its cosine" in notes
+    assert "3, 3, 3 components" in notes and "multiplied by the cosine" in notes
     assert "its scale of RGB, 1.5, 1, 2, is taken as applied" in notes and "4 rotations of local frames are not followed" in notes
 
 
@@ -198,11 +199,27 @@ def test_parallax_agrees_with_photometric_stereo_in_this_direction_of_rows_alone
     assert wrong.figures()["disagreement"] > 0.8 * wrong.figures()["disagreement_flat"]
 
 
+def test_what_is_decoded_leaves_memory_as_it_is_written(tmp_path, monkeypatch):
+    path = put_large(tmp_path / "a.btf", 32, 32, 60, 25, 3)
+    whole = load_btf(path, cache=False)
+    freed, let_go = [], pixels.release
+
+    def release(array, samples):
+        let_go(array, samples)
+        freed.append(samples)
+
+    monkeypatch.setattr(store, "RELEASE_BYTES", 0)
+    monkeypatch.setattr(pixels, "release", release)
+    again = load_btf(path, cache=False)
+    assert sorted(sample for samples in freed for sample in samples) == list(range(1500)) and len(freed) > 1
+    assert torch.equal(again.images(range(1500)), whole.images(range(1500)))
+
+
 _TILE = """
 import resource, sys
 import torchmat as tm
-btf = tm.load_btf(sys.argv[1], crop=(200, 120, 16, 16), cache=False, progress=False)
-assert (len(btf), btf.height, btf.width) == (22801, 16, 16)
+btf = tm.load_btf(sys.argv[1], crop=(200, 120, 32, 32), cache=False, progress=False)
+assert (len(btf), btf.height, btf.width) == (22801, 32, 32)
 print(float(btf.image(7000).sum()), resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024)
 """
 
@@ -211,4 +228,4 @@ def test_a_tile_of_a_file_that_would_fill_44_gb_takes_little_memory(tmp_path):
     path = put_large(tmp_path / "a.btf", 400, 400, 151, 151, 8)
     done = subprocess.run([sys.executable, "-c", _TILE, str(path)], capture_output=True, text=True, check=True)
     total, peak = done.stdout.split()
-    assert float(total) > 0 and int(peak) < 2000
+    assert float(total) > 0 and int(peak) < 1000  # measured 330

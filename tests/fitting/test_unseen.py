@@ -67,6 +67,8 @@ def test_another_size_and_the_data_itself_are_refused(btf):
     for same in (btf, made(LIGHT, VIEW)):
         with pytest.raises(RangeError, match="the test images must be others than the data"):
             tm.fit(btf, "texture", test=same)
+    with pytest.raises(RangeError, match="be others than the data"):
+        tm.fit(btf.masked(torch.arange(30).reshape(6, 5) > 9), "texture", test=btf)
 
 
 def test_few_or_none_are_measured_where_that_is_asked_for(btf, other, monkeypatch):

@@ -24,6 +24,7 @@ OTHERS = {
     b"!FMF06FC": "a full matrix factorisation (FMF)", b"!FMF12FCER": "a full matrix factorisation (FMF)",
     b"!PVF06FC": "a factorisation by view (PVF)",
 }
+_CUT, _DAMAGED = "Check that the download or copy is complete.", "Check that the file is undamaged."
 PLAIN, LOG_YUV, LOG_RGB = 0, 11, 12
 _CHANNELS = 3
 _EPSILON = np.float32(1e-5)  # of the logarithms; no file says it
@@ -62,7 +63,7 @@ class _Head:
     def __init__(self, stream: BinaryIO, path: Path) -> None:
         self.stream, self.path, self.size = stream, path, path.stat().st_size
 
-    def wrong(self, name: str, requirement: str, fact: str, step: str = "Check that the download or copy is complete.") -> DataError:
+    def wrong(self, name: str, requirement: str, fact: str, step: str = _CUT) -> DataError:
         return DataError(message(f"{self.path}: UBO2014 (DFMF)", name, requirement, fact, step))
 
     def place(self, count: int, what: str) -> int:
@@ -82,7 +83,7 @@ class _Head:
     def count(self, what: str, most: int, least: int = 1) -> int:
         (found,) = self.numbers("I", what)
         if not least <= found <= most:
-            raise self.wrong(what, f"be a number from {least} to {most}", f"it is {found}", "Check that the file is undamaged.")
+            raise self.wrong(what, f"be a number from {least} to {most}", f"it is {found}", _DAMAGED)
         return int(found)
 
     def text(self, what: str, most: int) -> str:
@@ -107,7 +108,8 @@ def read_dfmf(path: Path) -> Dfmf:
         names = [head.text("a channel's name", 4096) for _ in range(count)] if version > 3 else ["R", "G", "B"]
         if start + stated != stream.tell():
             fact = f"it says {stated} bytes and {stream.tell() - start} were read, by version {version}"
-            raise head.wrong("the header's size", "be what it holds", fact, "It is damaged, or of a version that is not known.")
+            step = "It is damaged, or of a version that is not known."
+            raise head.wrong("the header's size", "be what it holds", fact, step)
         if count != _CHANNELS:
             step = "Export it as RGB first."
             raise head.wrong("the channels", "be three", f"they are {count}: {', '.join(names[:8])}", step)
@@ -133,7 +135,7 @@ def _angles(head: _Head) -> tuple[np.ndarray, np.ndarray]:
         first = first or count
         if count != first or not 0 < count <= _MOST_SAMPLES // views:
             fact = f"view {number} has {count} and the first {first}, of {views} views"
-            raise head.wrong("the lights of a view", "be as many as those of every other", fact, "Check that the file is undamaged.")
+            raise head.wrong("the lights of a view", "be as many as those of every other", fact, _DAMAGED)
         start = head.place(8 * count, f"the lights of view {number}")
         head.stream.seek(start)
         light.append(np.frombuffer(head.stream.read(8 * count), "<f4").reshape(count, 2))
@@ -145,11 +147,12 @@ def _factors(head: _Head, name: str, samples: int, texels: int) -> Factors:
     what = f"channel {name}"
     (size,) = head.numbers("B", what)
     if size not in _SCALARS:
-        raise head.wrong(what, "hold numbers of 2, 4 or 8 bytes", f"it says {size}", "Check that the file is undamaged.")
-    kept, rows, columns = (head.count(f"{part} of {what}", _MOST_TEXELS) for part in ("the components", "the rows", "the columns"))
+        raise head.wrong(what, "hold numbers of 2, 4 or 8 bytes", f"it says {size}", _DAMAGED)
+    parts = ("the components", "the rows", "the columns")
+    kept, rows, columns = (head.count(f"{part} of {what}", _MOST_TEXELS) for part in parts)
     if (rows, columns) not in ((samples, texels), (texels, samples)):
-        fact = f"they are {rows} and {columns}"
-        raise head.wrong(f"rows and columns of {what}", f"be {samples} samples and {texels} texels", fact, "Check that the file is undamaged.")
+        wanted, fact = f"be {samples} samples and {texels} texels", f"they are {rows} and {columns}"
+        raise head.wrong(f"rows and columns of {what}", wanted, fact, _DAMAGED)
     head.place(kept * size, f"the singular values of {what}")
     dtype = np.dtype(_SCALARS[size]).newbyteorder("<")
     maps = []

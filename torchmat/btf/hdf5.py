@@ -70,7 +70,8 @@ def _data(source: File, file: Any) -> dict[str, Any]:
     for name, one in data.items():
         # Bytes of an external file are none of this one's.
         if one.external or one.is_virtual:
-            raise DataError(message(where, name, "lie in the file itself", "it is elsewhere", "Copy it into the file (h5repack)."))
+            step = "Copy it into the file (h5repack)."
+            raise DataError(message(where, name, "lie in the file itself", "it is elsewhere", step))
     return data
 
 
@@ -80,18 +81,20 @@ def _check_shapes(where: str, data: dict[str, Any]) -> None:
         one = data[name]
         if one.ndim == 4 and one.shape[-1] == 2:
             fact = f"{name} is {one.shape}, a {what} for each texel: a near-field capture"
-            step = "Rectify it to one light and one view an image first, or fit a region so small that one direction stands for it."
+            step = "Rectify it to one light and one view an image, or fit a region so small that one direction will do."
             raise DataError(message(where, f"each image's {what}", "be one direction, (N, 2)", fact, step))
         if one.ndim != 2 or one.shape[1] != 2 or not len(one) or one.dtype.kind != "f" or len(one) > _MOST_SAMPLES:
             step = "It is x and y of a unit vector for each image."
-            raise DataError(message(where, name, "be (N, 2) floating-point numbers", f"it is {one.shape} of {one.dtype}", step))
-    if colour.ndim != 4 or colour.shape[-1] != 3 or 0 in colour.shape or np.dtype(colour.dtype).name not in DTYPES or colour.dtype.kind != "f":
+            fact = f"it is {one.shape} of {one.dtype}"
+            raise DataError(message(where, name, "be (N, 2) floating-point numbers", fact, step))
+    floating = colour.dtype.kind == "f" and np.dtype(colour.dtype).name in DTYPES
+    if colour.ndim != 4 or colour.shape[-1] != 3 or 0 in colour.shape or not floating:
         fact = f"it is {colour.shape} of {colour.dtype}"
         raise DataError(message(where, COLOUR, "be (N, H, W, 3), linear floating-point numbers", fact))
     counts = {name: len(one) for name, one in data.items()}
     if len(set(counts.values())) > 1:
-        fact = ", ".join(f"{count} of {name}" for name, count in counts.items())
-        raise DataError(message(where, "the data sets", "be of as many images", f"there are {fact}", "Write one direction an image."))
+        fact = f"there are {', '.join(f'{count} of {name}' for name, count in counts.items())}"
+        raise DataError(message(where, "the data sets", "be of as many images", fact, "Write one direction an image."))
 
 
 def _upward(source: File, which: str, values: np.ndarray) -> Tensor:
@@ -101,7 +104,8 @@ def _upward(source: File, which: str, values: np.ndarray) -> Tensor:
     bad = ~(across <= 1 + 1e-3)
     if bool(bad.any()):
         first = int(bad.nonzero()[0, 0])
-        fact = f"{int(bad.sum())} of {len(bad)} are not, first that of image {first}: ({plane[first, 0]:.4g}, {plane[first, 1]:.4g})"
+        x, y = plane[first].tolist()
+        fact = f"{int(bad.sum())} of {len(bad)} are not, first that of image {first}: ({x:.4g}, {y:.4g})"
         step = "They are x and y of a unit vector, no angles and no positions."
         raise DataError(message(f"{source.path}: NeuralBTF (HDF5)", which, "lie within the unit circle", fact, step))
     found = torch.cat([plane, (1 - across).clamp(min=0).sqrt()[:, None]], dim=1)
@@ -137,7 +141,8 @@ def _sliceable(source: File, file: Any, stored: Any) -> Any:
         where = f"{source.path}: NeuralBTF (HDF5)"
         raise DataError(message(where, f"the chunks of {COLOUR}", "be of at most 1 GiB", fact, step))
     start = stored.id.get_offset()
-    if start is None or stored.chunks is not None or file.userblock_size or start + stored.nbytes > source.content.stat().st_size:
+    scattered = start is None or stored.chunks is not None or file.userblock_size
+    if scattered or start + stored.nbytes > source.content.stat().st_size:
         return stored
     return np.memmap(source.content, stored.dtype, "r", start, stored.shape)
 

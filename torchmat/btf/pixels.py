@@ -16,7 +16,7 @@ from torchmat.btf.decode import Decoder, resolve_encoding
 from torchmat.btf.listing import Listing, is_image
 from torchmat.btf.reader import Pixels
 from torchmat.btf.source import File, Folder, Zip
-from torchmat.btf.store import CLIPPED, INVALID
+from torchmat.btf.store import CLIPPED, INVALID, release
 from torchmat.channels import rgb_of_xyz
 from torchmat.errors import DataError, ShapeError, message
 from torchmat.icc import read_profile
@@ -220,6 +220,7 @@ def decode_samples(
             table["clipped"][row], table["invalid"][row] = (marks == CLIPPED).sum(), (marks == INVALID).sum()
             table["low"][row], table["high"][row] = codes.min(), codes.max()
             table["checksum"][row] = checksum(codes, marks)
+        release(pixels, samples)  # or a store that is larger than the memory would fill it as it is written
 
     _in_threads(work, range(0, count, chunk), show)
     return table

@@ -12,6 +12,16 @@ VALID, CLIPPED, INVALID = 0, 1, 2
 RELEASE_BYTES = 256_000_000  # a smaller store stays mapped: faulting its pages in again costs more than it saves
 
 
+def release(array: np.ndarray, samples: range) -> None:
+    """Drop the pages of some rows of a large mapped array from memory; what was written into a shared map stays in its file."""
+    mapped = getattr(array, "_mmap", None)
+    if mapped is None or len(mapped) <= RELEASE_BYTES or not hasattr(mmap, "MADV_DONTNEED"):
+        return
+    row = array.strides[0]  # of the whole sample in the file, also where the array shows a window of it
+    first = samples.start * row // mmap.PAGESIZE * mmap.PAGESIZE  # advice is given for whole pages
+    mapped.madvise(mmap.MADV_DONTNEED, first, samples.stop * row - first)
+
+
 @dataclass
 class PixelStore:
     """The stored codes of all images, in memory or mapped from a file.
@@ -33,12 +43,8 @@ class PixelStore:
     def release(self, samples: range) -> None:
         """Drop the mapped pages of `samples` from memory, so that a pass over a large file leaves no trace of itself."""
         for array in (self.pixels, self.flags):
-            mapped = getattr(array, "_mmap", None)
-            if array is None or mapped is None or len(mapped) <= RELEASE_BYTES or not hasattr(mmap, "MADV_DONTNEED"):
-                continue
-            row = array.strides[0]  # of the whole sample in the file, also where the array shows a window of it
-            first = samples.start * row // mmap.PAGESIZE * mmap.PAGESIZE  # advice is given for whole pages
-            mapped.madvise(mmap.MADV_DONTNEED, first, samples.stop * row - first)
+            if array is not None:
+                release(array, samples)
 
     def window(self, rows: slice, columns: slice) -> PixelStore:
         """Return the store of some texels: a view, whose codes are not looked at."""

@@ -6,7 +6,6 @@ decodes no other texels.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 
 import numpy as np
@@ -44,19 +43,18 @@ def _listing(source: File) -> Listing:
     found = _read(source)
     light, view = (frames.from_polar(*torch.from_numpy(angles).T) for angles in (found.light, found.view))
     light[:, 2] = torch.where(light[:, 2].abs() < _ROUNDED, 0.0, light[:, 2])  # an angle of 90 degrees, in single precision
-    names = tuple(
-        f"view {math.degrees(view_polar):.2f} {math.degrees(view_azimuth):.2f} light {math.degrees(polar):.2f} {math.degrees(azimuth):.2f}"
-        for (view_polar, view_azimuth), (polar, azimuth) in zip(found.view.tolist(), found.light.tolist(), strict=True)
-    )
+    angles = np.degrees(np.concatenate([found.view, found.light], axis=1)).tolist()
+    names = tuple("view {:.2f} {:.2f} light {:.2f} {:.2f}".format(*one) for one in angles)
     return Listing("ubo2014", names, light, view, notes=tuple(_notes(found)))
 
 
 def _notes(found: Dfmf) -> Iterator[str]:
     ranks = ", ".join(str(channel.samples.shape[1]) for channel in found.channels)
     yield f"a factorisation of {ranks} components; what they leave out of the photographs is not in the file"
-    yield ("values hold the cosine of the light" if found.cosine else "values are brought to those under a light: times its cosine")
+    yield "values hold the cosine of the light" if found.cosine else "values are multiplied by the cosine of the light"
     if any(abs(scale - 1) > 1e-6 for scale in found.rgb_scale):
-        yield f"its scale of RGB, {', '.join(f'{scale:g}' for scale in found.rgb_scale)}, is taken as applied; --exposure divides by a factor"
+        scales = ", ".join(f"{scale:g}" for scale in found.rgb_scale)
+        yield f"its scale of RGB, {scales}, is taken as applied; --exposure divides by a factor"
     if found.rotations > 1:
         yield f"warning: its {found.rotations} rotations of local frames are not followed"
 
@@ -80,7 +78,8 @@ def _pixels(source: File, listing: Listing) -> Pixels:
 def _images(found: Dfmf, part: slice, texels: list[np.ndarray], cosine: np.ndarray) -> np.ndarray:
     """Return images [n, h * w, 3] of some samples at chosen texels, float32."""
     with np.errstate(all="ignore"):  # what is not finite is found, and said, as in every image
-        products = [np.asarray(channel.samples[part], np.float32) @ one.T for channel, one in zip(found.channels, texels, strict=True)]
+        samples = [np.asarray(channel.samples[part], np.float32) for channel in found.channels]
+        products = [one @ window.T for one, window in zip(samples, texels, strict=True)]
         return np.stack(decoded(found.model, products), axis=-1) * cosine[:, None, None]
 
 
@@ -92,5 +91,6 @@ def _window(found: Dfmf, texels: np.ndarray, rows: slice, columns: slice) -> np.
 
 
 UBO2014 = Reader(
-    "ubo2014", "Bonn's UBO2014 `.btf` (DFMF), decoded for the texels that are asked for", _sniff, _listing, _pixels, one_file=True,
+    "ubo2014", "Bonn's UBO2014 `.btf` (DFMF), decoded for the texels that are asked for", _sniff, _listing, _pixels,
+    one_file=True,
 )

@@ -11,7 +11,9 @@ import torch
 from torchmat.btf import Btf, Split, load_btf
 from torchmat.btf.btf import unique_directions
 from torchmat.errors import RangeError, ShapeError, message
-from torchmat.fitting.evaluate import MEASURES, Evaluation, NotMeasured, evaluate, evaluate_parts, few_samples, nothing_measured
+from torchmat.fitting.evaluate import (
+    MEASURES, Evaluation, NotMeasured, evaluate, evaluate_parts, few_samples, nothing_measured,
+)
 from torchmat.models import Material
 from torchmat.progress import working
 from torchmat.sample import sample_path
@@ -43,7 +45,7 @@ def unseen_of(btf: Btf, test: Btf | str | Path | None, data: Mapping[str, Any], 
         fact = f"it has {test.height} x {test.width} and {btf.source.path} {btf.height} x {btf.width}"
         step = "Crop or scale them alike: each texel is to show the same place of the sample."
         raise ShapeError(message(test.source.path, "the test images", "have the size of the data", fact, step))
-    if test is btf or test.digest() == btf.digest():
+    if test is btf or test.unmasked().digest() == btf.unmasked().digest():
         step = "Give images of other directions, or none: holdout keeps back some of the data itself."
         raise RangeError(message(test.source.path, "the test images", "be others than the data", "they are the same", step))
     return test if btf.mask is None else test.masked(btf.mask, btf.source.mask)

@@ -91,7 +91,7 @@ _REFITTED = ("train_before", "train_after", "held_out_before", "held_out_after")
 
 
 def error_rows(report: dict[str, Any], measured: Sequence[str] = _MEASURED) -> tuple[list[str], list[list[Any]]]:
-    """Return header and rows of the six figures, and of the relative error's interval, on what a report has `measured`: train, held-out samples ..."""
+    """Return header and rows of the figures, and of the error's interval, on what a report has `measured`: train ..."""
     columns = [name for name in measured if report.get(name)]
     rows = [[figure, *(report[name][figure] for name in columns)] for figure in FIGURES]
     rows.insert(1, [INTERVAL.replace("_", " "), *(interval_text(report[name].get(INTERVAL)) for name in columns)])
