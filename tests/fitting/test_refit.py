@@ -124,7 +124,7 @@ def test_every_model_is_repaired_where_a_map_was_spoilt(btf, model, options):
 
 
 @pytest.mark.parametrize(("model", "options"), [
-    ("ptm", {}), ("distribution", {"lobes": 1, "effort": 0.04, "specular_size": 8, "fresnel": False, "rotation": False}),
+    ("ptm", {"space": "linear"}), ("distribution", {"lobes": 1, "effort": 0.04, "specular_size": 8, "fresnel": False, "rotation": False}),
 ])
 def test_a_wrong_height_moves_to_where_the_images_want_it(model, options):
     scene = relief_scene()
