@@ -67,7 +67,7 @@ def _losses(material: Material, form: Microfacet, path: Path) -> Losses:
     told |= {"coat": COATED} if "coat" in form.maps else {}
     if "f90" in form.maps and "f90" not in held.maps:
         lost["f90"] = "it is not below what F0 needs"
-    return losses_of_form(material, form, as_microfacet(held), lost, told, extra)
+    return losses_of_form(material, form, held if not held.has_relief else as_microfacet(held), lost, told, extra)
 
 
 def _with_mesh(buffer: Buffer, mesh: Any) -> dict[str, Any]:

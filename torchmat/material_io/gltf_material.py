@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from torchmat import safe
-from torchmat.errors import DataError, check_finite, message, notice
+from torchmat.errors import DataError, message, notice
 from torchmat.geometry import normals_from_slopes, slopes_from_height, slopes_from_normals
 from torchmat.material_io.glb import SUFFIX, Glb, read_glb
 from torchmat.material_io.pictures import codes_of_bytes, values_of
@@ -150,8 +150,6 @@ class _Reader:
         for more, names in (self._normal(), self._coat(), self._sheen()):
             maps |= more
             parts |= names
-        for name, value in maps.items():
-            check_finite(str(self.glb.path), name, value)
         kept = {name: value.float().contiguous() for name, value in maps.items()}
         return Microfacet(kept, parts=[part for part in MICROFACET_PARTS if part in parts], tiles=self.tiles, storage="half")
 

@@ -14,6 +14,7 @@ from torchmat.errors import check_option
 from torchmat.images import read_image, write_image
 
 DEPTHS = (8, 16)
+_CACHED = 200_000  # values
 
 
 def codes_of(planes: Tensor, depth: int, coded: bool = False) -> np.ndarray:
@@ -22,24 +23,34 @@ def codes_of(planes: Tensor, depth: int, coded: bool = False) -> np.ndarray:
     With `coded` the first three channels are colours, which pictures hold sRGB-encoded; a fourth is linear.
     """
     check_option("export", "depth", depth, DEPTHS)
-    values = planes.detach().double().clamp(0, 1)
-    if coded:
-        values = torch.cat((colour.linear_to_srgb(values[:3]), values[3:]))
-    codes = (values * (2**depth - 1)).round().clamp(0, 2**depth - 1)
-    return codes.movedim(0, -1).contiguous().numpy().astype(np.uint8 if depth == 8 else np.uint16)
+    planes, most = planes.detach().float(), 2**depth - 1
+    found = np.empty((*planes.shape[1:], len(planes)), np.uint8 if depth == 8 else np.uint16)
+    for rows in _bands(planes.shape[1], planes[:, :1].numel()):
+        values = planes[:, rows].clamp(0, 1)
+        if coded:
+            values = torch.cat((colour.linear_to_srgb(values[:3]), values[3:]))
+        found[rows] = values.mul(most).round_().clamp_(0, most).movedim(0, -1).numpy()
+    return found
+
+
+def _bands(rows: int, values: int) -> list[slice]:
+    """Return runs of rows, of `values` each, that stay in the processor's cache."""
+    step = max(1, _CACHED // max(values, 1))
+    return [slice(top, min(top + step, rows)) for top in range(0, rows, step)]
 
 
 def values_of(codes: np.ndarray, coded: bool = False) -> Tensor:
     """Return the values [C, H, W], float32, of codes [H, W, C], the counterpart of `codes_of`."""
-    if np.issubdtype(codes.dtype, np.integer):
-        planes = torch.from_numpy(codes.astype(np.float64) / np.iinfo(codes.dtype).max)
-    else:
-        planes = torch.from_numpy(codes.astype(np.float64))
-    planes = planes.movedim(-1, 0)
-    if coded:
-        first = planes[:3] if len(planes) >= 3 else planes[:1].expand(3, -1, -1)
-        planes = torch.cat((colour.srgb_to_linear(first), planes[3:]))
-    return planes.float().contiguous()
+    most = np.iinfo(codes.dtype).max if np.issubdtype(codes.dtype, np.integer) else 1
+    channels = max(3, codes.shape[2]) if coded else codes.shape[2]
+    found = torch.empty(channels, *codes.shape[:2])
+    for rows in _bands(codes.shape[0], codes[:1].size):
+        planes = torch.from_numpy(codes[rows].astype(np.float32)).movedim(-1, 0) / most
+        if coded:
+            first = planes[:3] if len(planes) >= 3 else planes[:1].expand(3, -1, -1)
+            planes = torch.cat((colour.srgb_to_linear(first), planes[3:]))
+        found[:, rows] = planes
+    return found
 
 
 def normal_codes(normal: Tensor, depth: int, flip: bool = False) -> np.ndarray:

@@ -29,7 +29,7 @@ def microfacet_form(material: Material) -> Microfacet:
     if "rotation" not in form.maps:
         return form
     most, least, direction = sorted_alphas(form)
-    return form.with_maps(roughness=torch.cat((most, least)).sqrt(), rotation=direction.clamp(-1, 1))
+    return form.sharing({**form.maps, "roughness": torch.cat((most, least)).sqrt(), "rotation": direction.clamp(-1, 1)})
 
 
 def microfacet_of(maps: Mapping[str, Tensor], like: Material) -> Microfacet:

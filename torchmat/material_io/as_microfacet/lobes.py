@@ -20,6 +20,7 @@ _RATIOS = (1.0, 1.5, 2.3)  # of the roughness along over that across
 _TURNS = 4  # of the direction along, over half a turn
 _GRAZING = 1e-4
 _STEPS = 20
+_STEP = 1e-5  # of a difference
 _MOST_KINDS, _LOOKED_AT, _NEAR = 24, 4096, 3  # mixtures of lobes that are fitted; texels that say which; of them a texel blends
 _EXACT = 1e-12
 
@@ -77,8 +78,13 @@ def fit_lobes(material: Distribution, r0: float) -> Lobes:
             strength, diffuse, _ = solve_two(share, cosine.expand_as(share), target)
             return ((share[:, None] * strength + cosine[:, None] * diffuse - target) / size).flatten(0, 1).T
 
+        def jacobian(parameters: Tensor) -> Tensor:
+            # Of three parameters differences are quick; forward rules load what takes seconds.
+            moves = _STEP * torch.eye(3, dtype=parameters.dtype)
+            return torch.stack([(residual(parameters + move) - residual(parameters - move)) / (2 * _STEP) for move in moves], dim=2)
+
         low, high = torch.tensor([[0.03, 0.03, -torch.inf], [1.0, 1.0, torch.inf]], dtype=torch.float64)
-        found = levenberg_marquardt(residual, start, low, high, max_steps=_STEPS, tolerance=1e-6).parameters
+        found = levenberg_marquardt(residual, start, low, high, jacobian=jacobian, max_steps=_STEPS, tolerance=1e-6).parameters
         share = seen.share(*found.T)
         strength, diffuse, _ = solve_two(share, cosine.expand_as(share), target)
     along, across, turn = found.T
