@@ -30,6 +30,9 @@ def test_a_glb_on_a_mesh_by_its_name(tmp_path, capsys, monkeypatch):
     table = json.loads((tmp_path / "cube.glb.loss.json").read_text("utf-8"))
     assert table["options"] == {"mesh": "cube", "depth": 16} and table["errors"]["native"] < 1e-6
     assert len(load_mesh("cube.glb").faces) == 12
+    assert main(["info", "cube.glb"]) == 0
+    told = capsys.readouterr().out
+    assert "12" in told and "microfacet" in told and "specular_f0" in told  # the mesh, and what it brings along
     assert main(["export", "m", "--out", "quad.glb", "--mesh", "quad"]) == 0
     assert main(["export", "cube.glb", "--to", "orm", "--set", "vendor=poliigon"]) == 0  # a GLB is a material too
     assert (tmp_path / "cube_orm" / "material_COL.png").is_file()

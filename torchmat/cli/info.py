@@ -41,9 +41,10 @@ class Info:
             print(describe_brdf(self.path))
             return
         if is_mesh(self.path):
+            from torchmat.report.describe import describe_own_material
             from torchmat.report.describe_mesh import describe_mesh
 
-            print(describe_mesh(self.path))
+            print(describe_mesh(self.path) + describe_own_material(self.path))
             return
         if is_texture_set(self.path):
             print(describe_textures(self.path))

@@ -37,6 +37,11 @@ def is_glb(path: str | Path) -> bool:
     return path.suffix.lower() == SUFFIX and not path.is_dir()
 
 
+def has_material(path: str | Path) -> bool:
+    """Return whether `path` is a GLB that holds a material; raises DataError for a damaged one."""
+    return is_glb(path) and bool(read_glb(path).items("materials"))
+
+
 def material_of(path: str | Path) -> Microfacet:
     """Return the first material of a GLB as a microfacet material; what it holds besides is said.
 

@@ -16,10 +16,12 @@ from torchmat.brdf import Brdf, MerlBrdf, RglBrdf, load_brdf
 from torchmat.brdf.albedo import albedo_of, values_over_lights
 from torchmat.btf import Btf
 from torchmat.create.textures import find_textures
+from torchmat.errors import DataError
 from torchmat.images import read_picture
 from torchmat.material_io import load_material
 from torchmat.material_io.files import reader_of
 from torchmat.material_io.folder import MANIFEST
+from torchmat.material_io.gltf_material import has_material
 from torchmat.models.storage import StoredAs
 from torchmat.report.tables import number, object_text, text_table
 
@@ -83,6 +85,17 @@ def describe_material(path: str | Path) -> str:
         value = material.maps[spec.name].detach()
         maps.append([spec.name, spec.meaning, str(tuple(value.shape)), float(value.min()), float(value.max())])
     return text_table(["", ""], facts) + "\n\n" + text_table(["map", "meaning", "shape", "least", "largest"], maps)
+
+
+def describe_own_material(path: str | Path) -> str:
+    """Return tables of the material that a mesh brings along, behind an empty line; nothing where it brings none.
+
+    One that cannot be read is said in a line: the mesh is a mesh even so.
+    """
+    try:
+        return f"\n\n{describe_material(path)}" if has_material(path) else ""
+    except DataError as error:
+        return f"\n\nmaterial   not read: {error}"
 
 
 def describe_textures(path: str | Path) -> str:
