@@ -8,12 +8,14 @@ import torch
 from torch import Tensor
 
 from torchmat.errors import RangeError, message
-from torchmat.material_io.as_microfacet.lobes import fit_lobes, kinds_of, weights_of
+from torchmat.material_io.as_microfacet.error import shading_error, thinned
+from torchmat.material_io.as_microfacet.lobes import Lobes, fit_lobes, kinds_of, schlick_terms, weights_of
 from torchmat.material_io.as_microfacet.sampled import from_samples
 from torchmat.models import Distribution, Lambert, Material, Microfacet, Texture
 from torchmat.models.ggx import usual_f90
 from torchmat.models.microfacet import MICROFACET_PARTS
 
+_TRIED_ON = 512  # texels
 _NEVER = ("pca", "local_pca")  # what is known at the measured directions alone
 
 
@@ -68,29 +70,42 @@ def _of_distribution(material: Material) -> Microfacet:
         return _matte(maps["diffuse"], maps["normal"] if "normal" in maps else None)
     one = torch.ones_like(maps["diffuse"][:1])
     mask, fresnel = (maps[name] if name in maps else one for name in ("specular_mask", "fresnel"))
-    index = maps["index"] if "index" in maps else one
     mass = mask.mean(dim=0, keepdim=True)
     r0 = float(((mass * fresnel).sum() / mass.sum()).clamp(0, 1)) if bool(mass.sum() > 0) else 1.0
-    kinds = kinds_of(index)
-    lobes = fit_lobes(_shapes(flat, kinds, r0), r0)
-    weights = weights_of(index, kinds)
+    kinds, terms = kinds_of(maps["index"] if "index" in maps else one), schlick_terms(material.options["fresnel_exponent"])
+    few, shapes = thinned(flat, _TRIED_ON), _shapes(flat, kinds, r0)
+    ends = [r0 + (1 - r0) * end for end in (terms[0], sum(terms))]
+    # F90 cannot be above 1, which the fit of a lobe does not know: what comes of both says which to take.
+    tried = [fit_lobes(shapes, ends[0], ends[1], lifted) for lifted in (False, True)]
+    errors = [shading_error(few, _assembled(few, kinds, lobes, terms)) for lobes in tried]
+    return _assembled(flat, kinds, tried[1] if errors[1] < errors[0] else tried[0], terms)
+
+
+def _assembled(flat: Material, kinds: Tensor, lobes: Lobes, terms: tuple[float, float]) -> Microfacet:
+    """Return the microfacet material of a flat distribution one whose mixtures `kinds` of specular maps are `lobes`."""
+    maps, (a, b) = flat.maps, terms
+    one = torch.ones_like(maps["diffuse"][:1])
+    mask, fresnel = (maps[name] if name in maps else one for name in ("specular_mask", "fresnel"))
+    weights = weights_of(maps["index"] if "index" in maps else one, kinds)
 
     def mixed(values: Tensor) -> Tensor:
         return torch.einsum("jhw,j...->...hw", weights, values.to(weights.dtype))
 
-    strength, found = mask * mixed(lobes.strength), dict(maps)
-    bright = lobes.strength.mean(dim=1)
-    squares = [mixed(bright * root.square()) / mixed(bright).clamp(min=1e-12) for root in (lobes.along, lobes.across)]
-    roots = torch.stack(squares).sqrt().clamp(1e-3, 1)
-    f0 = strength * fresnel
-    f90 = strength.mean(dim=0, keepdim=True) / usual_f90(f0).clamp(min=1e-6)
+    strength, bright = mask * mixed(lobes.strength), lobes.strength.mean(dim=1)
+    usual = mixed(bright).clamp(min=1e-12)
+    roots = torch.stack([mixed(bright * root.square()) / usual for root in (lobes.along, lobes.across)]).sqrt().clamp(1e-3, 1)
+    f0 = strength * (fresnel + (1 - fresnel) * a)
+    grazing = mixed(bright * lobes.lift) / usual * (fresnel + (1 - fresnel) * (a + b))
+    f90 = strength.mean(dim=0, keepdim=True) * grazing / usual_f90(f0).clamp(min=1e-6)
     made = {
         "diffuse": maps["diffuse"] + mask * mixed(lobes.diffuse), "specular_f0": f0, "f90": f90.clamp(0, 1), "roughness": roots,
     }
-    parts = {"f90", "anisotropy"} | ({"normal"} & set(found))
-    if "normal" in found:
+    parts = {"f90", "anisotropy"}
+    if "normal" in maps:
         made["normal"] = maps["normal"]
-    made["rotation"] = _turned(maps["rotation"] if "rotation" in maps else None, mixed(bright * torch.cos(2 * lobes.turn)), mixed(bright * torch.sin(2 * lobes.turn)))
+        parts.add("normal")
+    turns = [mixed(bright * turn(2 * lobes.turn)) for turn in (torch.cos, torch.sin)]
+    made["rotation"] = _turned(maps["rotation"] if "rotation" in maps else None, *turns)
     if "rotation" not in maps and bool((roots[0] - roots[1]).abs().max() < 1e-3):
         made["roughness"] = roots.mean(dim=0, keepdim=True)
         del made["rotation"]

@@ -21,31 +21,36 @@ _TURNS = 4  # of the direction along, over half a turn
 _GRAZING = 1e-4
 _STEPS = 20
 _STEP = 1e-5  # of a difference
+_MOST_LIFT = 4.0
 _MOST_KINDS, _LOOKED_AT, _NEAR = 24, 4096, 3  # mixtures of lobes that are fitted; texels that say which; of them a texel blends
 _EXACT = 1e-12
 
 
 class Lobes(NamedTuple):
-    """GGX lobes of K kinds: root of alpha along and across and the turn [K], what stands before D [K, 3], and diffuse [K, 3]."""
+    """GGX lobes of K kinds: root of alpha along and across, the turn, and the factor on F90, [K]; what stands before D [K, 3],
+    and diffuse [K, 3]."""
 
     along: Tensor
     across: Tensor
     turn: Tensor
+    lift: Tensor
     strength: Tensor
     diffuse: Tensor
 
 
 @dataclass(frozen=True)
 class _Seen:
-    """Directions [n, 3], what they show [n, 3, K], Fresnel's factor [n] and the cosine of the light [n]."""
+    """Directions [n, 3], what they show [n, 3, K], Fresnel's rise [n, 1], and F0 and F90."""
 
     light: Tensor
     view: Tensor
     target: Tensor
-    factor: Tensor
+    rise: Tensor
+    f0: float
+    f90: float
 
-    def share(self, along: Tensor, across: Tensor, turn: Tensor) -> Tensor:
-        """Return the lobes [n, K] of K roughnesses and turns, Fresnel's factor included."""
+    def share(self, along: Tensor, across: Tensor, turn: Tensor, lift: Tensor) -> Tensor:
+        """Return the lobes [n, K] of K roughnesses, turns and factors on F90, Fresnel's factor included."""
         cosine, sine = torch.cos(turn), torch.sin(turn)
 
         def turned(direction: Tensor) -> Tensor:
@@ -55,22 +60,35 @@ class _Seen:
         total = self.light + self.view
         half = total / total.norm(dim=1, keepdim=True)
         squares = squared_alpha(torch.stack((along, across)))[:, None]
-        return ggx_share(turned(self.light), turned(self.view), turned(half), squares, _GRAZING)[:, 0, 0] * self.factor[:, None]
+        return ggx_share(turned(self.light), turned(self.view), turned(half), squares, _GRAZING)[:, 0, 0] * torch.lerp(
+            torch.full_like(lift, self.f0), self.f90 * lift, self.rise
+        )
 
 
-def fit_lobes(material: Distribution, r0: float) -> Lobes:
-    """Return the lobes nearest to what the single row of texels of a material shows with Fresnel's `r0` for all.
+def schlick_terms(exponent: float) -> tuple[float, float]:
+    """Return a and b of the ``a + b x^5`` nearest to Fresnel's ``x^exponent``, x being 1 - L.H: Schlick's own are 0 and 1."""
+    if exponent == 5:
+        return 0.0, 1.0
+    light, view = lobe_pairs()
+    apart = (1 - (light + view).norm(dim=1) / 2).clamp(min=0)
+    columns = torch.stack((torch.ones_like(apart), schlick_rise(apart)), dim=1)
+    a, b = torch.linalg.lstsq(columns, apart[:, None] ** exponent).solution[:, 0].tolist()
+    return max(a, 0.0), b
 
-    Roughness and direction over a grid and then by Levenberg and Marquardt, strength and diffuse in closed form.
+
+def fit_lobes(material: Distribution, f0: float, f90: float, lifted: bool) -> Lobes:
+    """Return the lobes nearest to what the single row of texels of a material shows, whose Fresnel factor is near `f0` to `f90`.
+
+    Roughness and direction over a grid and then, with a factor on F90 that takes up how masking differs if they are `lifted`,
+    by Levenberg and Marquardt; strength and diffuse in closed form.
     """
     light, view = lobe_pairs()
     target = shade_pairs(material.double(), light, view)[:, :, 0]
     apart = 1 - (light + view).norm(dim=1) / 2
-    seen = _Seen(light, view, target, r0 + (1 - r0) * schlick_rise(apart.clamp(min=0)))
+    seen = _Seen(light, view, target, schlick_rise(apart.clamp(min=0))[:, None], f0, f90)
     size = target.square().sum(dim=(0, 1)).sqrt().clamp(min=1e-12)
     with one_thread():
-        start = _started(seen)
-
+        start = torch.cat((_started(seen), torch.ones(target.shape[2], 1, dtype=torch.float64)), dim=1)
         cosine = light[:, 2, None]
 
         def residual(parameters: Tensor) -> Tensor:
@@ -79,16 +97,17 @@ def fit_lobes(material: Distribution, r0: float) -> Lobes:
             return ((share[:, None] * strength + cosine[:, None] * diffuse - target) / size).flatten(0, 1).T
 
         def jacobian(parameters: Tensor) -> Tensor:
-            # Of three parameters differences are quick; forward rules load what takes seconds.
-            moves = _STEP * torch.eye(3, dtype=parameters.dtype)
+            # Of four parameters differences are quick; forward rules load what takes seconds.
+            moves = _STEP * torch.eye(4, dtype=parameters.dtype)
             return torch.stack([(residual(parameters + move) - residual(parameters - move)) / (2 * _STEP) for move in moves], dim=2)
 
-        low, high = torch.tensor([[0.03, 0.03, -torch.inf], [1.0, 1.0, torch.inf]], dtype=torch.float64)
+        ends = (0.0, _MOST_LIFT) if lifted else (1.0, 1.0)
+        low, high = torch.tensor([[0.03, 0.03, -torch.inf, ends[0]], [1.0, 1.0, torch.inf, ends[1]]], dtype=torch.float64)
         found = levenberg_marquardt(residual, start, low, high, jacobian=jacobian, max_steps=_STEPS, tolerance=1e-6).parameters
         share = seen.share(*found.T)
         strength, diffuse, _ = solve_two(share, cosine.expand_as(share), target)
-    along, across, turn = found.T
-    return Lobes(along, across, turn, strength.T, diffuse.T)
+    along, across, turn, lift = found.T
+    return Lobes(along, across, turn, lift, strength.T, diffuse.T)
 
 
 def _started(seen: _Seen) -> Tensor:
@@ -100,7 +119,7 @@ def _started(seen: _Seen) -> Tensor:
         for ratio in _RATIOS:
             for number in range(_TURNS if ratio > 1 else 1):
                 shape = torch.tensor([[min(1.0, root * ratio**0.5)], [root / ratio**0.5], [torch.pi * number / _TURNS]], dtype=torch.float64)
-                share = seen.share(*shape)[:, 0]
+                share = seen.share(*shape, torch.ones(1, dtype=torch.float64))[:, 0]
                 left = solve_two(share, cosine, seen.target)[2]
                 better = left < error
                 error = torch.where(better, left, error)
