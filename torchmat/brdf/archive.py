@@ -10,7 +10,7 @@ import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path, PurePosixPath
-from typing import IO, BinaryIO
+from typing import BinaryIO, IO, cast
 
 from torchmat.errors import DataError, message
 
@@ -94,7 +94,7 @@ def opened(path: Path, name: str | None) -> Iterator[IO[bytes]]:
     """Open a `.gz`, or the member `name` of a zip, to be read from its start."""
     if name is None:
         with gzip.open(path) as stream:
-            yield stream
+            yield cast(IO[bytes], stream)
         return
     with zipfile.ZipFile(path) as archive, archive.open(name) as member:
         yield member

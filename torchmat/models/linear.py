@@ -89,7 +89,7 @@ class Relightable(Material):
         **settings: Any,
     ) -> None:
         check_option(self.name, "space", space, SPACES)
-        known = {} if code_range is None else {"code_range": [list(pair) for pair in code_range]}
+        known: dict[str, Any] = {} if code_range is None else {"code_range": [list(pair) for pair in code_range]}
         super().__init__(maps, space=space, **known, **settings)
         self._check_code_range()
 

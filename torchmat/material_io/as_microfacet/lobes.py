@@ -119,7 +119,7 @@ def _started(seen: _Seen) -> Tensor:
         for ratio in _RATIOS:
             for number in range(_TURNS if ratio > 1 else 1):
                 shape = torch.tensor([[min(1.0, root * ratio**0.5)], [root / ratio**0.5], [torch.pi * number / _TURNS]], dtype=torch.float64)
-                share = seen.share(*shape, torch.ones(1, dtype=torch.float64))[:, 0]
+                share = seen.share(shape[0], shape[1], shape[2], torch.ones(1, dtype=torch.float64))[:, 0]
                 left = solve_two(share, cosine, seen.target)[2]
                 better = left < error
                 error = torch.where(better, left, error)

@@ -10,6 +10,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from typing import Any
+
 import torch
 from torch import Tensor
 
@@ -51,7 +53,7 @@ class Coefficients:
         """Return the material, which will be written with these codes again."""
         values = self.values()
         pairs = [[float(low), float(high)] for low, high in zip(self.low, self.high, strict=True)]
-        settings = {"space": SRGB, "code_range": pairs, "storage": "float"}
+        settings: dict[str, Any] = {"space": SRGB, "code_range": pairs, "storage": "float"}
         if self.model == "ptm":
             return Ptm({"polynomial": values}, **settings)
         if self.model == "lptm":

@@ -74,10 +74,10 @@ def read_rti(path: str | Path) -> Material:
 def _read_head(path: Path, data: bytes, size: int) -> _Head:
     found = _HEAD.match(data)
     if not data.startswith(MAGIC) or found is None:
-        kind = data[:24].split(b"\n")[0]
+        begun = data[:24].split(b"\n")[0]
         step = "Save it from RTIBuilder as hemispherical harmonics (HSH)." if data[:1] == b"#" else "Check that it is an RTI, and complete."
         requirement = "begin with #HSH1.2, a 3, width height 3 and terms 2 1"
-        raise DataError(message(str(path), "the head", requirement, f"it begins {kind!r}", step))
+        raise DataError(message(str(path), "the head", requirement, f"it begins {begun!r}", step))
     kind, width, height, colours, terms, _, size_of_one = (int(word) for word in found.groups())
     if (kind, colours, size_of_one) != (_HARMONICS, 3, _BYTE) or terms not in HSH_TERMS:
         fact = f"the head says kind {kind}, {colours} colours, {terms} terms of {size_of_one} bytes"

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -61,7 +62,7 @@ def as_rti(material: Material, model: str, terms: int = 9) -> Material:
         mean += code / FITTED
         for term, weight in zip(total, solution[:, number].tolist(), strict=True):
             term.add_(code, alpha=weight)
-    kept = {"space": SRGB, "storage": "float", "tiles": material.tiles}
+    kept: dict[str, Any] = {"space": SRGB, "storage": "float", "tiles": material.tiles}
     if model == "hsh":
         return Hsh({"harmonic": total.flatten(0, 1)}, terms=terms, **kept)
     if model == "ptm":
