@@ -74,6 +74,8 @@ def _members(path: Path) -> list[str]:
             names = archive.namelist()
     except Exception:  # zipfile lets struct, Unicode and other errors of a damaged directory through
         return []
-    return [name for name in names if name[-1:] != "/" and not any(
-        part.startswith(".") or part == "__MACOSX" for part in PurePosixPath(name).parts
-    )]
+    return [name for name in names if name[-1:] != "/" and not any(map(_hidden, PurePosixPath(name).parts))]
+
+
+def _hidden(part: str) -> bool:
+    return part == "__MACOSX" or (part.startswith(".") and part != "..")
