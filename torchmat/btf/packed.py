@@ -78,4 +78,4 @@ def _members(path: Path) -> list[str]:
 
 
 def _hidden(part: str) -> bool:
-    return part == "__MACOSX" or (part.startswith(".") and part != "..")
+    return part == "__MACOSX" or part.startswith(".")  # so does a name that leads out of the archive, which `Zip` then refuses
