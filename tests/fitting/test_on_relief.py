@@ -31,11 +31,11 @@ OPTIONS = {
     "neural": {"latent": 4, "hidden": 12, "effort": 0.03, "storage": "half"},
     "microfacet": {"effort": 0.05, "storage": "half", **PLAIN},
 }
-# Gain in dB on held-out samples over the flat fit. Measured: texture 2.9 (it has no normals), lambert 15.4, ptm 15.7,
-# lptm 15.7, hsh 16.2, phong_srf 3.6, pca 4.3 and local_pca 3.7 (90 samples are few for tables over directions),
+# Gain in dB on held-out samples over the flat fit. Measured: texture 2.9 (it has no normals), lambert 15.4, ptm and
+# lptm 11.5 (in codes of a screen, which bend what they hold exactly in linear light: 15.7 there), hsh 16.2, phong_srf 3.6, pca 4.3 and local_pca 3.7 (90 samples are few for tables over directions),
 # distribution 14.6 after 100 steps, sphere_images 2.7 (no normals either).
 GAIN = {
-    "texture": 2.3, "lambert": 14, "ptm": 14, "lptm": 14, "hsh": 14, "phong_srf": 3, "pca": 3.5, "local_pca": 3,
+    "texture": 2.3, "lambert": 14, "ptm": 10, "lptm": 10, "hsh": 14, "phong_srf": 3, "pca": 3.5, "local_pca": 3,
     "distribution": 12, "sphere_images": 2.2,
 }
 every_model = pytest.mark.parametrize("model", RECIPES)
@@ -78,8 +78,10 @@ def test_the_relief_survives_export_and_the_round_trip(model, tmp_path):
     assert float((exported.maps["height"] - material.maps["height"]).detach().abs().max()) <= 0.51 * span / 65535 + 1e-8
     indices = torch.arange(0, 90, 7)
     assert torch.equal(predict(loaded, scene.btf(), indices), predict(exported, scene.btf(), indices))
-    # Half precision keeps 11 bits, 5e-4: measured 2e-4 to 6e-4 of the largest value.
-    assert_close(predict(exported, scene.btf(), indices), predict(material, scene.btf(), indices), 1e-3)
+    # Half precision keeps 11 bits, 5e-4: measured 2e-4 to 6e-4 of the largest value, of a product of two maps in codes of a
+    # screen, whose curve is steeper than 2 near white, 1.3e-3.
+    bound = 2e-3 if model == "lptm" else 1e-3
+    assert_close(predict(exported, scene.btf(), indices), predict(material, scene.btf(), indices), bound)
 
 
 @every_model
