@@ -25,9 +25,12 @@ def with_parts(monkeypatch, parts, **bare):
 
 
 def shorten_fits(monkeypatch) -> None:
-    """Let the distribution material, which hardly a test of the choice is about, take a tenth of a second."""
+    """Let what is built by parts, which hardly a test of the choice is about, take a tenth of a second."""
     monkeypatch.setattr(parts, "EFFORT", 0.002)
     with_parts(monkeypatch, (), effort=0.002, specular_size=8)
+    recipe = RECIPES["microfacet"]
+    ladder = replace(recipe.ladder, parts=(), bare={**recipe.ladder.bare, "effort": 0.002})
+    monkeypatch.setitem(RECIPES, "microfacet", replace(recipe, ladder=ladder))
 
 
 def colours(size: int, detail: bool = True) -> np.ndarray:
