@@ -119,6 +119,7 @@ class Recipe:
             that take the way of all models; those of `rungs` it must take.
         geometry: "flat" or "recover": what a fit takes the surface for where nothing else is asked.
         quick: options of the fit that says what a relief is worth.
+        stepping: options that a solver which steps takes where they are not given, of a model whose own fit is another.
         tiling: how the model is fitted tile by tile, and what memory that takes.
         shared: the class of what its fit says that all texels have in common.
         rungs: candidates of the automatic choice.
@@ -136,6 +137,7 @@ class Recipe:
     objective: str = LINEAR
     on_relief: Callable[..., Fitted | None] | None = None
     quick: Mapping[str, Any] = field(default_factory=dict)
+    stepping: Mapping[str, Any] = field(default_factory=dict)
     tiling: Tiling = Tiling()
     shared: type[Shared] = Shared
     geometry: str = FLAT
@@ -239,7 +241,7 @@ class Recipe:
         assert self.fit is not None
         if solver.name not in self.solvers:
             assert isinstance(solver, Stepping)
-            return fit_by_descent(training, self.fit, solver, options, objective)
+            return fit_by_descent(training, self.fit, solver, {**self.stepping, **options}, objective)
         return self.fit(training, **options, **_taken(self.fit, solver=solver, objective=objective))
 
     def run_on_relief(self, surface: Surface, height: Tensor, options: Mapping[str, Any]) -> Fitted | None:

@@ -45,7 +45,10 @@ def resolve_options(model: str, given: dict[str, Any]) -> dict[str, Any]:
     found = {**defaults, **given}
     if found:  # the choice among models has none
         recipe_of(model).solver_of(found)
-        found["solver"] = as_solver(f"fit {model}", found["solver"], recipe_of(model).all_solvers)
+        recipe = recipe_of(model)
+        found["solver"] = as_solver(f"fit {model}", found["solver"], recipe.all_solvers)
+        if found["solver"].name not in recipe.solvers:
+            found |= {name: value for name, value in recipe.stepping.items() if name not in given}
     return found
 
 

@@ -62,7 +62,8 @@ def fit_ptm(training: Training, *, space: str = SRGB, storage: str = "half") -> 
     """Least-squares biquadratic per texel and channel.
 
     Args:
-        space: "srgb" fits the codes of a screen, as RTI tools do: nearer to what is seen; "linear" the light itself: nearer in highlights.
+        space: "srgb" fits the codes of a screen, as RTI tools do: nearer to what is seen; "linear" the light itself: nearer in highlights,
+            and what a solver that steps takes unless it is told.
     """
     _, _, solved = _solve(training, "polynomial", space)
     maps = {"polynomial": solved.coefficients.flatten(0, 1)}
@@ -74,7 +75,8 @@ def fit_hsh(training: Training, *, terms: int = 9, space: str = SRGB, storage: s
 
     Args:
         terms: harmonics per texel and channel, 4, 9 or 16: more follow sharper shading and need more lights.
-        space: "srgb" fits the codes of a screen, as RTI tools do: nearer to what is seen; "linear" the light itself: nearer in highlights.
+        space: "srgb" fits the codes of a screen, as RTI tools do: nearer to what is seen; "linear" the light itself: nearer in highlights,
+            and what a solver that steps takes unless it is told.
     """
     check_option("fit hsh", "terms", terms, HSH_TERMS)
     _, _, solved = _solve(training, f"hsh{terms}", space)
@@ -88,7 +90,8 @@ def fit_lptm(training: Training, *, space: str = SRGB, storage: str = "half") ->
     The sum over samples is the product with the design's constant column, so one pass gives both.
 
     Args:
-        space: "srgb" fits the codes of a screen, as RTI tools do: nearer to what is seen; "linear" the light itself: nearer in highlights.
+        space: "srgb" fits the codes of a screen, as RTI tools do: nearer to what is seen; "linear" the light itself: nearer in highlights,
+            and what a solver that steps takes unless it is told.
     """
     design, moments, solved = _solve(training, "polynomial", space)
     luminance = colour.luminance(solved.coefficients, dim=1)
@@ -219,12 +222,14 @@ LAMBERT = Recipe(
     Lambert, fit_lambert, bytes_per_texel="12", on_relief=fit_lambert_on_relief, shared=LambertShared,
     rungs=(Rung("Lambert", "lambert", 6),),
 )
-# The automatic choice judges highlights too, which sums in linear light are nearer to.
-PTM = Recipe(Ptm, fit_ptm, bytes_per_texel="36", rungs=(Rung("PTM", "ptm", 18, {"space": LINEAR}),))
-LPTM = Recipe(Lptm, fit_lptm, bytes_per_texel="18", rungs=(Rung("luminance PTM", "lptm", 9, {"space": LINEAR}),))
+# The automatic choice judges highlights too, which sums in linear light are nearer to; what steps makes errors of linear
+# light small, which codes of a screen bend.
+_LINEAR = {"space": LINEAR}
+PTM = Recipe(Ptm, fit_ptm, bytes_per_texel="36", stepping=_LINEAR, rungs=(Rung("PTM", "ptm", 18, _LINEAR),))
+LPTM = Recipe(Lptm, fit_lptm, bytes_per_texel="18", stepping=_LINEAR, rungs=(Rung("luminance PTM", "lptm", 9, _LINEAR),))
 HSH = Recipe(
-    Hsh, fit_hsh, bytes_per_texel="54", compared=tuple(f"terms={terms}" for terms in HSH_TERMS),
+    Hsh, fit_hsh, bytes_per_texel="54", compared=tuple(f"terms={terms}" for terms in HSH_TERMS), stepping=_LINEAR,
     rungs=tuple(
-        Rung(f"{terms} harmonics", "hsh", size, {"terms": terms, "space": LINEAR}) for terms, size in ((4, 12), (9, 27))
+        Rung(f"{terms} harmonics", "hsh", size, {"terms": terms, **_LINEAR}) for terms, size in ((4, 12), (9, 27))
     ),
 )
