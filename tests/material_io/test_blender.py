@@ -9,6 +9,7 @@ import pytest
 from tests.material_io.forms import microfacet, rand
 
 import torchmat as tm
+from torchmat import RangeError
 from torchmat.material_io.blender import SCRIPT
 
 # Sockets by node, as the manual of Blender 4.2 lists them.
@@ -23,11 +24,13 @@ NODES = {
     "ShaderNodeTangent": ("", "Tangent"), "ShaderNodeVectorRotate": ("Vector|Center|Axis|Angle|Rotation", "Vector"),
     "ShaderNodeNewGeometry": ("", "Position|Normal|Tangent|True Normal|Incoming|Parametric|Backfacing|Pointiness|Random Per Island"),
     "ShaderNodeDisplacement": ("Height|Midlevel|Scale|Normal", "Displacement"), "NodeGroupOutput": ("BSDF|Displacement", ""),
+    "ShaderNodeBsdfDiffuse": ("Color|Roughness|Normal|Weight", "BSDF"), "ShaderNodeBsdfTransparent": ("Color|Weight", "BSDF"),
+    "ShaderNodeAddShader": ("Shader|Shader", "Shader"), "ShaderNodeMixShader": ("Fac|Shader|Shader", "Shader"),
     "ShaderNodeGroup": ("", "BSDF|Displacement"), "ShaderNodeOutputMaterial": ("Surface|Volume|Displacement|Thickness", ""),
 }
 SETTINGS = {
     "ShaderNodeTexImage": {"image", "label", "extension"}, "ShaderNodeMath": {"operation"}, "ShaderNodeTangent": {"direction_type"},
-    "ShaderNodeVectorRotate": {"rotation_type"}, "ShaderNodeGroup": {"node_tree"},
+    "ShaderNodeVectorRotate": {"rotation_type"}, "ShaderNodeGroup": {"node_tree"}, "ShaderNodeBsdfPrincipled": {"distribution"},
 }
 
 
@@ -42,6 +45,7 @@ class Node:
     def __init__(self, kind):
         names = [part.split("|") if part else [] for part in NODES[kind]]
         make = lambda found, out: Sockets(types.SimpleNamespace(name=name, node=self, out=out, default_value=None) for name in found)  # noqa: E731
+        self.__dict__.update(dict.fromkeys(SETTINGS.get(kind, ())))
         self.__dict__.update(kind=kind, inputs=make(names[0], False), outputs=make(names[1], True), location=None)
 
     def __setattr__(self, name, value):
@@ -93,7 +97,7 @@ def bpy(monkeypatch):
         materials=Named(lambda: types.SimpleNamespace(use_nodes=False, node_tree=Tree())),
     )
     module = types.ModuleType("bpy")
-    module.__dict__.update(data=data, context=types.SimpleNamespace(active_object=shown), loaded=loaded)
+    module.__dict__.update(app=types.SimpleNamespace(version=(4, 2, 0)), data=data, context=types.SimpleNamespace(active_object=shown), loaded=loaded)
     monkeypatch.setitem(sys.modules, "bpy", module)
     return module
 
@@ -134,6 +138,32 @@ def test_the_least_material(tmp_path, bpy):
     assert ("ShaderNodeTexImage", "Color", "ShaderNodeBsdfPrincipled", "Alpha") in group.joined
     assert not [node for node in group.found if node.kind in ("ShaderNodeTangent", "ShaderNodeDisplacement")]
     assert "Cycles dims it" in losses.approximated["diffuse"]
+
+
+def test_the_closest_form_adds_up_the_lobes(tmp_path, bpy):
+    material = microfacet("normal", "anisotropy", "f90", "coat", "sheen", opacity=rand(1, 12), specular_f0=rand(3, 2, 0.03, 0.18))
+    losses = tm.export(material, tmp_path / "m", to="blender", form="closest")
+    run(tmp_path / "m")
+    group = bpy.data.node_groups["torchmat"]
+    assert {path.split("/")[-1] for path in bpy.loaded} == {path.name for path in (tmp_path / "m").glob("*.png")}
+    lobes = [node for node in group.found if node.kind == "ShaderNodeBsdfPrincipled"]
+    assert [node.inputs["Metallic"].default_value for node in lobes] == [1.0, 1.0, None] and {node.distribution for node in lobes} == {"GGX"}
+    assert lobes[2].inputs["Specular IOR Level"].default_value == 0 and lobes[2].inputs["Base Color"].default_value[:3] == (0, 0, 0)
+    kinds = [node.kind for node in group.found]
+    assert kinds.count("ShaderNodeAddShader") == 3 and kinds.count("ShaderNodeMixShader") == 3  # shares of F90 of both lobes, and opacity
+    assert sum(socket == "Normal" and source == "ShaderNodeNormalMap" for source, _, _, socket in group.joined) == 4
+    assert ("ShaderNodeMixShader", "Shader", "NodeGroupOutput", "BSDF") in group.joined
+    assert losses.errors["native"] < 1e-5 and losses.lost == {} and "diffuse" in losses.exact + tuple(losses.approximated)
+    assert "dims" not in losses.approximated.get("diffuse", "") and "Cycles' fibres" in losses.approximated["sheen"]
+
+
+def test_of_the_closest_form_f0_above_1_is_cut_and_layers_are_lost(tmp_path):
+    bright = microfacet(specular_f0=rand(3, 2, 0.5, 1.5))
+    losses = tm.export(bright, tmp_path / "a", to="blender", form="closest")
+    assert float((losses.held.maps["specular_f0"] - bright.maps["specular_f0"].clamp(max=1)).detach().abs().max()) < 1e-4
+    assert set(tm.export(microfacet("layered"), tmp_path / "b", to="blender", form="closest").lost) == {"layered"}
+    with pytest.raises(RangeError, match="form"):
+        tm.export(microfacet(), tmp_path / "c", to="blender", form="nearest")
 
 
 def test_what_cycles_has_no_place_for_is_lost(tmp_path):
