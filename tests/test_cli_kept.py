@@ -149,7 +149,7 @@ def test_ctrl_c_says_what_is_left_in_one_line(data, tmp_path, capsys, monkeypatc
     assert load_material(out).name == "texture"
     work = tmp_path / "work"
     with monkeypatch.context() as patched:
-        patched.setattr(sys.modules["torchmat.fitting.fit"], "evaluate_parts", stop)
+        patched.setattr("torchmat.fitting.unseen.evaluate_parts", stop)
         assert run(*arguments[:-1], "--work", work, "--set", "tile_size=4") == 130
     assert capsys.readouterr().err == f"stopped; finished tiles are kept in {work}, and the same command goes on there\n"
 

@@ -37,7 +37,7 @@ def write_blender(
     check_option("export to blender", "form", form, FORMS)
     check_positive("export to blender", "width", width)
     flat = microfacet_form(material)
-    shaders = Shaders(flat.maps, path, depth)
+    shaders = Shaders(dict(flat.maps.items()), path, depth)
     shaders.portable() if form == "portable" else shaders.closest()
     pictures = shaders.pictures
     settings = {
