@@ -25,10 +25,10 @@ def test_a_flat_surface_sees_nothing_of_itself():
 @pytest.mark.parametrize("slope", [0.5, 1.0, 2.0])
 def test_the_sides_of_a_groove_fill_the_share_of_each_other_that_is_known(slope):
     # Two long plates that meet at an angle a: F = 1 - sin(a / 2) (Siegel & Howell, configuration factor C-16).
-    factors = form_factors(groove(slope, 64), directions=2000).sum(dim=1).to_dense().reshape(4, 64)
+    factors = form_factors(groove(slope, 48), directions=700).sum(dim=1).to_dense().reshape(4, 48)
     expected = 1 - math.sin(math.atan2(1, slope))
-    # Slopes at the bottom and on the ridge are those of neither side: measured 6 % at most, and 2 % without those texels.
-    assert float(factors.mean()) == pytest.approx(expected, rel=0.07)
+    # Slopes at the bottom and on the ridge are those of neither side: four of 48 texels, measured 6.5 % at most.
+    assert float(factors.mean()) == pytest.approx(expected, rel=0.08)
     assert_close(factors, factors.flip(1), 0.05)
 
 
@@ -36,7 +36,7 @@ def test_each_texel_gives_as_much_as_it_takes():
     generator = torch.Generator().manual_seed(0)
     coarse = torch.rand(1, 1, 5, 5, generator=generator, dtype=torch.float64)
     height = 0.3 * torch.nn.functional.interpolate(coarse, size=(20, 20), mode="bicubic")[0]
-    dense = form_factors(height, tiles=False, directions=3000).to_dense()
+    dense = form_factors(height, tiles=False, directions=800).to_dense()
     slopes = torch.stack(torch.gradient(height[0], spacing=1 / 20))
     area = (1 + slopes.square().sum(dim=0)).sqrt().flatten()
     given = area[:, None] * dense
