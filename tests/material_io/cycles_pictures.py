@@ -2,9 +2,10 @@
 
     python cycles_pictures.py JOB.json        blender -b --factory-startup --python cycles_pictures.py -- JOB.json
 
-The job names `scenes`, each a GLB or a script `material.py`, `pairs` of unit vectors to light and view in the frame of the texture
-(x right, y up, z out of it), how many pixels a picture is `wide`, and `out`, a NumPy file [scene, pair, wide, wide, 3] that it writes.
-The sun gives an irradiance of pi, so that pixels read pi f_r cos(light). The frame is 1.25 of the unit square, y of the texture up.
+The job names `scenes`, each a GLB or a script `material.py`, `pairs` of unit vectors to light and view in the frame of
+the texture (x right, y up, z out of it), how many pixels a picture is `wide`, and `out`, a NumPy file
+[scene, pair, wide, wide, 3] that it writes. The sun gives an irradiance of pi, so that pixels read pi f_r cos(light).
+The frame is 1.25 of the unit square, y of the texture up.
 """
 
 import json

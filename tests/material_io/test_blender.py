@@ -147,13 +147,16 @@ def test_the_closest_form_adds_up_the_lobes(tmp_path, bpy):
     group = bpy.data.node_groups["torchmat"]
     assert {path.split("/")[-1] for path in bpy.loaded} == {path.name for path in (tmp_path / "m").glob("*.png")}
     lobes = [node for node in group.found if node.kind == "ShaderNodeBsdfPrincipled"]
-    assert [node.inputs["Metallic"].default_value for node in lobes] == [1.0, 1.0, None] and {node.distribution for node in lobes} == {"GGX"}
-    assert lobes[2].inputs["Specular IOR Level"].default_value == 0 and lobes[2].inputs["Base Color"].default_value[:3] == (0, 0, 0)
+    assert [node.inputs["Metallic"].default_value for node in lobes] == [1.0, 1.0, None]
+    assert {node.distribution for node in lobes} == {"GGX"}
+    fibres = lobes[2].inputs
+    assert fibres["Specular IOR Level"].default_value == 0 and fibres["Base Color"].default_value[:3] == (0, 0, 0)
     kinds = [node.kind for node in group.found]
-    assert kinds.count("ShaderNodeAddShader") == 3 and kinds.count("ShaderNodeMixShader") == 3  # shares of F90 of both lobes, and opacity
+    assert kinds.count("ShaderNodeAddShader") == 3
+    assert kinds.count("ShaderNodeMixShader") == 3  # shares of F90 of both lobes, and opacity
     assert sum(socket == "Normal" and source == "ShaderNodeNormalMap" for source, _, _, socket in group.joined) == 4
     assert ("ShaderNodeMixShader", "Shader", "NodeGroupOutput", "BSDF") in group.joined
-    assert losses.errors["native"] < 1e-5 and losses.lost == {} and "diffuse" in losses.exact + tuple(losses.approximated)
+    assert losses.errors["native"] < 1e-5 and losses.lost == {}
     assert "dims" not in losses.approximated.get("diffuse", "") and "Cycles' fibres" in losses.approximated["sheen"]
 
 

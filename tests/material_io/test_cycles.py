@@ -1,10 +1,11 @@
 """Exports as Blender's Cycles shows them, beside the model's own values.
 
-Both read pi f_r cos(light) of one sun. The square has 4 x 4 materials, so that a turned or mirrored map is seen. What differs, beside codes
-of 16 bits: Principled takes from the diffuse part what the lobe above it reflects toward the view (0.25 of it for F0 of 0.3), and its
-dielectrics follow the curve of an index of refraction, which is up to 0.3 of a lobe of F0 = 0.04 off Schlick's; the importer of glTF
-takes Principled's default, GGX with the light of further bounces, up to 0.1 more of a rough lobe. Tilted normals are bent where they would
-reflect below the surface. Fibres are another model and not compared.
+Both read pi f_r cos(light) of one sun. The square has 4 x 4 materials, so that a turned or mirrored map is seen. What
+differs, beside codes of 16 bits: Principled takes from the diffuse part what the lobe above it reflects to the view,
+about F0 of the brightest channel, and its dielectrics follow the curve of an index of refraction, which lifts a lobe
+of F0 = 0.04 by up to 0.3 of it over Schlick's; the importer of glTF takes Principled's default, GGX with the light of
+further bounces, up to 0.2 more of a rough lobe. Tilted normals are bent where they would reflect below the surface.
+Fibres are another model and not compared.
 """
 
 from __future__ import annotations
@@ -34,20 +35,23 @@ SCRIPT = Path(__file__).with_name("cycles_pictures.py")
 # Polar angle and azimuth of light and view, degrees: two straight at the square, three oblique.
 ANGLES = (((30, 40), (0, 0)), ((50, 200), (0, 0)), ((40, 70), (45, 250)), ((60, 10), (55, 160)), ((20, 300), (70, 100)))
 NAMES = {
-    "matte": (), "tilted matte": ("normal",), "shining": (), "both": (), "stretched": ("anisotropy",), "dielectric": (), "holes": (),
-    "layered": ("layered",), "f90": ("f90",), "coat": ("coat",), "relief": (), "all": ("normal", "anisotropy", "f90", "coat"),
+    "matte": (), "tilted matte": ("normal",), "shining": (), "both": (), "stretched": ("anisotropy",), "dielectric": (),
+    "holes": (), "layered": ("layered",), "f90": ("f90",), "coat": ("coat",), "relief": (),
+    "all": ("normal", "anisotropy", "f90", "coat"),
 }
 # Relative errors over all pairs, about twice what Blender 5.0.1 was measured to have.
 BOUNDS = {
     "gltf": {
-        "matte": 1e-8, "tilted matte": 2e-5, "shining": 1.5e-3, "both": 7e-3, "stretched": 1.7e-3, "dielectric": 1.3e-2, "holes": 7e-3, "layered": 6e-3,
+        "matte": 1e-8, "tilted matte": 2e-5, "shining": 1.5e-3, "both": 7e-3, "stretched": 1.7e-3,
+        "dielectric": 1.3e-2, "holes": 6e-3, "layered": 6e-3,
     },
     "portable": {
-        "matte": 2e-5, "tilted matte": 1.3e-4, "shining": 1.3e-5, "both": 1e-2, "stretched": 6e-5, "dielectric": 1.4e-2, "holes": 1e-2, "layered": 2.5e-3,
+        "matte": 2e-5, "tilted matte": 1.3e-4, "shining": 1.3e-5, "both": 1e-2, "stretched": 6e-5,
+        "dielectric": 1.4e-2, "holes": 8e-3, "layered": 2.5e-3,
     },
     "closest": {
-        "matte": 1e-8, "tilted matte": 2e-5, "shining": 1e-7, "both": 1e-7, "stretched": 1e-7, "dielectric": 1e-7, "holes": 1e-7, "f90": 6e-7,
-        "coat": 1e-7, "relief": 1e-6, "all": 3e-4,
+        "matte": 1e-8, "tilted matte": 2e-5, "shining": 1e-7, "both": 1e-7, "stretched": 1e-7,
+        "dielectric": 1e-7, "holes": 1e-7, "f90": 6e-7, "coat": 1e-7, "relief": 1.5e-6, "all": 3e-4,
     },
 }
 CASES = [(form, name) for form, bounds in BOUNDS.items() for name in bounds]
@@ -56,10 +60,13 @@ CASES = [(form, name) for form, bounds in BOUNDS.items() for name in bounds]
 @functools.cache
 def blender() -> list[str] | None:
     """Return how a script for Blender is run, None where there is neither Blender nor a Python that has its module."""
-    found = os.environ.get("TORCHMAT_BLENDER") or (sys.executable if importlib.util.find_spec("bpy") else shutil.which("blender"))
+    here = sys.executable if importlib.util.find_spec("bpy") else shutil.which("blender")
+    found = os.environ.get("TORCHMAT_BLENDER") or here
     if not found:
         return None
-    return [found] if "python" in Path(found).name else [found, "-b", "--factory-startup", "--python-exit-code", "1", "--python"]
+    if "python" in Path(found).name:
+        return [found]
+    return [found, "-b", "--factory-startup", "--python-exit-code", "1", "--python"]
 
 
 def directions() -> list[list[list[float]]]:
@@ -70,27 +77,30 @@ def directions() -> list[list[list[float]]]:
     return [[unit(*light), unit(*view)] for light, view in ANGLES]
 
 
+def larger(values: torch.Tensor) -> torch.Tensor:
+    return values.repeat_interleave(BLOCK, 1).repeat_interleave(BLOCK, 2)
+
+
 def material_of(name: str) -> Microfacet:
     """Return the material of a case, each of its texels a block of BLOCK x BLOCK."""
     size, black = (SIDE, SIDE), torch.zeros(3, SIDE, SIDE)
     maps = {
-        "matte": {"specular_f0": black}, "tilted matte": {"specular_f0": black}, "shining": {"diffuse": black}, "stretched": {"diffuse": black},
-        "dielectric": {"specular_f0": black + 0.04}, "holes": {"opacity": rand(1, 20, size=size)},
+        "matte": {"specular_f0": black}, "tilted matte": {"specular_f0": black}, "shining": {"diffuse": black},
+        "stretched": {"diffuse": black}, "dielectric": {"specular_f0": black + 0.04},
+        "holes": {"opacity": rand(1, 20, size=size)},
     }
     material = microfacet(*NAMES[name], size=size, **maps.get(name, {})).repeating(False)
-    large = {key: value if value.dim() < 3 else value.repeat_interleave(BLOCK, 1).repeat_interleave(BLOCK, 2) for key, value in material.maps.items()}
-    material = material._like({key: value.detach() for key, value in large.items()})
+    material = material._like({key: larger(value.detach()) for key, value in material.maps.items()})
     if name != "relief":
         return material
     # Steps between the blocks, flat within: a bump of the height under the normals would be seen at most there.
-    steps = rand(1, 21, 0, 0.01, size).repeat_interleave(BLOCK, 1).repeat_interleave(BLOCK, 2)
-    return material.on_relief(steps)
+    return material.on_relief(larger(rand(1, 21, 0, 0.01, size)))
 
 
 def as_blender_reads_gltf(material: Microfacet) -> Microfacet:
     """Return the material of glTF's numbers as Blender's importer takes them.
 
-    It gives roughness and strength of the anisotropy to Principled, where they are those of ``alpha = r^2 / a, r^2 a`` with
+    It gives roughness and strength of the anisotropy to Principled, where they mean ``alpha = r^2 / a, r^2 a`` with
     ``a = sqrt(1 - 0.9 s)``; glTF's are ``r^2 + (1 - r^2) s^2, r^2``.
     """
     if "rotation" not in material.maps:
@@ -120,7 +130,8 @@ def pictures(tmp_path_factory) -> dict[tuple[str, str], np.ndarray]:
     job = {"scenes": scenes, "pairs": directions(), "wide": WIDE, "out": str(folder / "pictures.npy")}
     (folder / "job.json").write_text(json.dumps(job), encoding="utf-8")
     more = ["--"] if len(how) > 1 else []
-    done = subprocess.run([*how, str(SCRIPT), *more, str(folder / "job.json")], capture_output=True, text=True, check=False, timeout=300)
+    line = [*how, str(SCRIPT), *more, str(folder / "job.json")]
+    done = subprocess.run(line, capture_output=True, text=True, check=False, timeout=300)
     assert done.returncode == 0, done.stderr[-2000:]
     assert "material.py" not in done.stderr, done.stderr[-2000:]  # nothing in it is about to go
     return dict(zip(CASES, np.load(folder / "pictures.npy"), strict=True))
@@ -137,7 +148,7 @@ def middles(picture: np.ndarray, view: np.ndarray) -> np.ndarray:
 
 
 def both(found: np.ndarray, material: Microfacet) -> tuple[np.ndarray, np.ndarray]:
-    """Return what Cycles shows and what the model says without parallax and shadow, [pair, 3, SIDE, SIDE] each."""
+    """Return what Cycles shows and what the model says [pair, 3, SIDE, SIDE]; of a relief, what its normals do."""
     material = material.surface() if material.has_relief else material
     shown, wanted = [], []
     for (light, view), picture in zip(directions(), found, strict=True):
@@ -162,7 +173,6 @@ def test_cycles_shows_what_the_model_says(pictures, form, name):
 
 
 def test_what_principled_takes_from_the_diffuse_part_is_less_than_the_lobe_reflects(pictures):
-    """Seen from above, the diffuse part keeps at least 1 - F0 of the brightest channel and what a rough lobe adds to it."""
     material, found = material_of("both"), {}
     for form in ("portable", "closest"):
         shown, _ = both(pictures[form, "both"], material)

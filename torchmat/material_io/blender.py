@@ -1,4 +1,4 @@
-"""Blender: a script that builds a node group of a Principled BSDF or of the model's lobes, and the pictures that it loads."""
+"""Blender: a script that builds a Principled BSDF or the model's lobes, and the pictures that it loads."""
 
 from __future__ import annotations
 
@@ -23,13 +23,14 @@ _FIBRES = "Cycles' fibres scatter in their own way"
 
 
 def write_blender(
-    material: Material, path: Path, *, form: str = "portable", depth: int = 16, width: float = 1.0, name: str = "torchmat",
+    material: Material, path: Path, *, form: str = "portable", depth: int = 16, width: float = 1.0,
+    name: str = "torchmat",
 ) -> Losses:
     """Write ``material.py`` and its pictures into an empty folder; return what they do not hold.
 
     Args:
-        form: "portable" is one Principled BSDF; "closest" adds up a diffuse BSDF and lobes that follow Schlick's curve as the
-            model does, for Cycles and Eevee alone.
+        form: "portable" is one Principled BSDF; "closest" adds up a diffuse BSDF and lobes that follow Schlick's
+            curve as the model does, which programs other than Blender do not read.
         depth: bits a channel, 8 or 16.
         width: width of the texture in Blender's units, by which the height is scaled.
         name: what the material and its node group are called.
@@ -41,12 +42,14 @@ def write_blender(
     shaders.portable() if form == "portable" else shaders.closest()
     pictures = shaders.pictures
     settings = {
-        "name": name, "tiles": material.tiles, "shaders": shaders.made, "opacity": shaders.opacity, "pictures": pictures.written,
+        "name": name, "tiles": material.tiles, "shaders": shaders.made, "opacity": shaders.opacity,
+        "pictures": pictures.written,
     }
     extra = _height(material, pictures, settings, width)
     text = _SOURCE.read_text("utf-8").format(settings=pprint.pformat(settings, sort_dicts=False, width=110))
     (path / SCRIPT).write_text(text, encoding="utf-8")
-    lost = {"rolloff": "it has no place there", "layered": "Cycles has its own way" if form == "portable" else "its lobes are added up"}
+    layered = "Cycles has its own way" if form == "portable" else "its lobes are added up"
+    lost = {"rolloff": "it has no place there", "layered": layered}
     told = {"sheen": _FIBRES} if "sheen" in flat.maps else {}
     if form == "portable":
         lost["f90"] = "it has no place there"

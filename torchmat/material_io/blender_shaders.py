@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -23,9 +24,9 @@ _NOTHING = (0.0, 0.0, 0.0, 1.0)
 
 
 class Shaders:
-    """What the script builds: pictures, shaders (dicts of kind, values and sockets by picture) and what both hold of the maps."""
+    """Pictures, shaders (dicts of kind, values and sockets by picture), and what both hold of the maps."""
 
-    def __init__(self, maps: dict[str, Tensor], path: Path, depth: int) -> None:
+    def __init__(self, maps: Mapping[str, Tensor], path: Path, depth: int) -> None:
         self.maps = {name: value.detach() for name, value in maps.items()}
         self.pictures = Pictures(path, depth)
         self.made: list[dict[str, Any]] = []
@@ -42,7 +43,7 @@ class Shaders:
         self.made.append({"kind": kind, "values": values, "sockets": there, "share": share})
 
     def portable(self) -> None:
-        """Hold the maps as one Principled BSDF, which other programs understand; its index of refraction gives the largest F0."""
+        """Hold the maps as one Principled BSDF, whose index of refraction gives the largest F0."""
         maps, pictures = self.maps, self.pictures
         f0 = maps["specular_f0"]
         most = min(_MOST_F0, max(float(f0.max()), 1e-4))
@@ -50,7 +51,8 @@ class Shaders:
             "diffuse": pictures.add("base_color", maps["diffuse"], coded=True),
             "specular_f0": most * pictures.add("specular_tint", f0 / most, coded=True), **_roughness(pictures, maps),
         }
-        values: dict[str, Any] = {"IOR": (1 + math.sqrt(most)) / (1 - math.sqrt(most)), "Metallic": 0.0, "Specular IOR Level": 0.5}
+        index = (1 + math.sqrt(most)) / (1 - math.sqrt(most))
+        values: dict[str, Any] = {"IOR": index, "Metallic": 0.0, "Specular IOR Level": 0.5}
         if "coat" in maps:
             self.held |= {
                 "coat": DIELECTRIC * pictures.add("coat", maps["coat"] / DIELECTRIC),
@@ -59,24 +61,26 @@ class Shaders:
             values["Coat IOR"] = 1.5
         values |= self._sheen()
         sockets = {
-            "base_color": "Base Color", "specular_tint": "Specular Tint", **_ROUGH, "alpha": "Alpha", "coat": "Coat Weight",
-            "coat_roughness": "Coat Roughness", "sheen_tint": "Sheen Tint",
+            "base_color": "Base Color", "specular_tint": "Specular Tint", **_ROUGH, "alpha": "Alpha",
+            "coat": "Coat Weight", "coat_roughness": "Coat Roughness", "sheen_tint": "Sheen Tint",
         }
         self._add(_PRINCIPLED, values, sockets)
 
     def closest(self) -> None:
         """Hold diffuse and specular part and coat as shaders of their own, of which none dims another.
 
-        A metal of Principled reflects by Schlick's curve from its base colour, F0, to 1; where F90 is less, so much of it is shown.
+        A metal of Principled reflects by Schlick's curve from its base colour, F0, to 1; where F90 is less, that share
+        of it is seen.
         """
         maps, pictures = self.maps, self.pictures
         self.opacity = "alpha" if "opacity" in maps else None
         self.held["diffuse"] = pictures.add("base_color", maps["diffuse"], coded=True)
         self._add("ShaderNodeBsdfDiffuse", {"Roughness": 0.0}, {"base_color": "Color"})
-        rough = _roughness(pictures, maps)
-        self.held |= rough
+        self.held |= _roughness(pictures, maps)
         f0, total = self._metal("specular", maps["specular_f0"], maps.get("f90"), _ROUGH)
-        self.held |= {"specular_f0": f0, "f90": safe.divide(total, usual_f90(f0)).clamp(max=1)} if "f90" in maps else {"specular_f0": f0}
+        self.held["specular_f0"] = f0
+        if "f90" in maps:
+            self.held["f90"] = safe.divide(total, usual_f90(f0)).clamp(max=1)
         if "coat" in maps:
             self.held["coat_roughness"] = pictures.add("coat_roughness", maps["coat_roughness"])
             self.held["coat"] = self._metal("coat", maps["coat"], None, {"coat_roughness": "Roughness"})[0]
