@@ -1,9 +1,9 @@
 """The last steps of a fit on a relief: a loss on the pictures themselves, in which the height moves along.
 
 Until here samples were brought onto the surface, which blurs them and knows of no silhouette. Now rendered pictures are
-compared with the images, maps and height descend together, and the slopes hold the height as they do in `refine_height`:
-without that tie shallow heights go wrong while the pictures get better. The result is kept only where training samples
-that the steps did not see, and those that they did, both come out better.
+compared with the images. Short runs say how light between texels is told, and whether the height moves along, held by its
+slopes as in `refine_height`: without that tie shallow heights go wrong while the pictures get better. The result is kept
+only where training samples that the steps did not see, and those that they did, both come out better.
 """
 
 from __future__ import annotations

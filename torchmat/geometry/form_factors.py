@@ -95,7 +95,7 @@ def _shifted(values: Tensor, right: float, down: float, tiles: bool) -> Tensor:
     left, top = math.floor(right), math.floor(down)
     a, b = right - left, down - top
     corners = [_moved(values, left + i, top + j, tiles, -math.inf) for j in (0, 1) for i in (0, 1)]
-    upper, lower = (corners[0] * (1 - a) + corners[1] * a if a else corners[0]), (corners[2] * (1 - a) + corners[3] * a if a else corners[2])
+    upper, lower = (left * (1 - a) + right * a if a else left for left, right in (corners[:2], corners[2:]))
     return upper * (1 - b) + lower * b if b else upper
 
 

@@ -27,8 +27,13 @@ from torchmat.repeatable import one_thread, wide_product
 
 AMBIENT = MapSpec("ambient", "light by way of other texels, for a light of 1", low=0.0, colour=True, linear=True)
 # How much of the ambient light goes with the cosine of the light.
-FALLOFF = MapSpec("ambient_falloff", "share of the ambient light that falls with the light's cosine", layer_channels=1, low=0.0, high=1.0, constant=True)
-INDIRECT = MapSpec("indirect", "factor on the light between texels that relief and diffuse colour tell", layer_channels=1, low=0.0, constant=True)
+FALLOFF = MapSpec(
+    "ambient_falloff", "share of the ambient light that falls with the light's cosine", layer_channels=1, low=0.0, high=1.0,
+    constant=True,
+)
+INDIRECT = MapSpec(
+    "indirect", "factor on the light between texels that relief and diffuse colour tell", layer_channels=1, low=0.0, constant=True,
+)
 BETWEEN_MAPS = (AMBIENT, FALLOFF, INDIRECT)
 BETWEEN = tuple(spec.name for spec in BETWEEN_MAPS)
 _BASIS = BASES["hsh9"]
@@ -105,7 +110,8 @@ def transfer_of(material: Any) -> Tensor:
     kept = material.__dict__.get("_kept_transfer")
     if kept is None or kept[0] != marks:
         # The tensors are kept as well: else their place in memory could be another's.
-        kept = (marks, _TRANSFERS.of((height, diffuse), lambda: transfer(height, diffuse, material.tiles), material.tiles), height, diffuse)
+        found = _TRANSFERS.of((height, diffuse), lambda: transfer(height, diffuse, material.tiles), material.tiles)
+        kept = (marks, found, height, diffuse)
         material.__dict__["_kept_transfer"] = kept
     return kept[1]
 
@@ -175,7 +181,8 @@ def _lights(dtype: torch.dtype) -> Tensor:
     number = torch.arange(_LIGHTS, dtype=torch.float64)
     z = 1 - (1 - _LOWEST) * (number + 0.5) / _LIGHTS
     across = (1 - z * z).sqrt()
-    return torch.stack((across * torch.cos(number * _GOLDEN), across * torch.sin(number * _GOLDEN), z), dim=1)[:, :, None, None].to(dtype)
+    found = torch.stack((across * torch.cos(number * _GOLDEN), across * torch.sin(number * _GOLDEN), z), dim=1)
+    return found[:, :, None, None].to(dtype)
 
 
 def as_ambient(material: Any) -> Any:

@@ -202,7 +202,8 @@ class DistributionFit:
         known = training.shared_as(DistributionShared)
         if known is not None:
             return known
-        groups = None if parts.lobes < 2 else group_texels(inside_of(starts["features"], training.btf.mask), parts.lobes, training.seed)
+        features = inside_of(starts["features"], training.btf.mask)
+        groups = None if parts.lobes < 2 else group_texels(features, parts.lobes, training.seed)
         return DistributionShared(
             level=self.level, log_specular=raw.get("specular"), logit_tilt=raw.get("tilt"), log_masking=raw.get("masking"),
             groups=groups,
@@ -289,5 +290,6 @@ class DistributionFit:
                 maps["normal"] = normals_from_slopes(raw["normal"] - self.surface.slopes)
         return Distribution(
             {name: value.detach() for name, value in maps.items()}, lobes=parts.lobes, parts=parts.names,
-            fresnel_exponent=self.exponent(raw), storage=self.options.storage, tiles=self.surface.training.tiles, relief=self.surface.training.relief,
+            fresnel_exponent=self.exponent(raw), storage=self.options.storage, tiles=self.surface.training.tiles,
+            relief=self.surface.training.relief,
         )
