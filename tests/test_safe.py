@@ -158,7 +158,7 @@ def test_gradcheck(function, inputs):
 
 
 _FIRST_USE = """
-import torchmat, torch
+import torchmat.safe, torch
 torch.set_num_threads(2)
 x = torch.rand(3, 64, 64, generator=torch.Generator().manual_seed({seed})) + 0.01
 for function in {order}:
