@@ -7,10 +7,14 @@ dimension -3, lists of directions on the last; each function takes `dim`.
 
 from __future__ import annotations
 
+import math
+
 import torch
 from torch import Tensor
 
 from torchmat import safe
+
+GOLDEN_ANGLE = math.pi * (3 - math.sqrt(5))  # by which directions turn from one to the next, so that none repeat
 
 
 def from_polar(polar: Tensor, azimuth: Tensor, dim: int = -1) -> Tensor:
@@ -21,6 +25,16 @@ def from_polar(polar: Tensor, azimuth: Tensor, dim: int = -1) -> Tensor:
     """
     sine = torch.sin(polar)
     return torch.stack((sine * torch.cos(azimuth), sine * torch.sin(azimuth), torch.cos(polar)), dim=dim)
+
+
+def spiral(count: int, lowest: float = 0.0, turn: float = 0.0) -> Tensor:
+    """Return `count` unit directions [count, 3], float64, that fill the sphere above z = `lowest` evenly: a Fibonacci spiral.
+
+    `turn` is added to all azimuths.
+    """
+    place = torch.arange(count, dtype=torch.float64)
+    polar = torch.arccos(1 - (1 - lowest) * (place + 0.5) / count)
+    return from_polar(polar, place * GOLDEN_ANGLE + turn)
 
 
 def to_polar(direction: Tensor, dim: int = -1) -> tuple[Tensor, Tensor]:

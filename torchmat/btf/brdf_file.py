@@ -17,7 +17,6 @@ from torchmat.btf.source import File
 VIEWS_DEG = (0, 15, 30, 45, 60, 75)
 HALF_ANGLES, HALF_AZIMUTHS = 24, 8
 _VIEW_AZIMUTHS = {True: 4, False: 12}  # of an isotropic surface, and of another
-_GOLDEN = math.pi * (3 - math.sqrt(5))  # by which half vectors turn from view to view, so that none repeat
 _LOWEST = math.cos(math.radians(85))  # of a light: beyond it neither database was measured
 
 
@@ -34,7 +33,7 @@ def hemispheres(isotropic: bool) -> tuple[Tensor, Tensor]:
     azimuth = (torch.arange(HALF_AZIMUTHS, dtype=torch.float64) * (2 * math.pi / HALF_AZIMUTHS)).repeat(HALF_ANGLES)
     for number, (view_polar, view_azimuth) in enumerate(_views(_VIEW_AZIMUTHS[isotropic])):
         view = frames.from_polar(view_polar, view_azimuth)
-        half = frames.from_polar(polar, azimuth + number * _GOLDEN)
+        half = frames.from_polar(polar, azimuth + number * frames.GOLDEN_ANGLE)
         cosine = half @ view
         light = 2 * cosine[:, None] * half - view
         light = light[(cosine > 0) & (light[:, 2] >= _LOWEST)]

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from torchmat.fitting.models.any_model import Prior, Seen, figures_of, run_descent
-from torchmat.fitting.objective import DISPLAY_POWER, LINEAR, Objective, Residual, mean_value, power
+from torchmat.fitting.objective import DISPLAY_POWER, LINEAR, Objective, Residual, mean_value, power, white_of
 from torchmat.fitting.relief.refine import refine_height
 from torchmat.fitting.relief.surface import Surface, bring_onto
 from torchmat.fitting.training import Fitted, Training
@@ -87,8 +87,7 @@ class Descending:
     def made(self) -> Material:
         """Return the material as it stands; maps that are kept are the very ones that it had."""
         found = self.unknowns.made()
-        own = self.material.from_surface({name: value for name, value in found.items() if name not in BETWEEN})
-        return self.material.with_maps(**own, **{name: found[name] for name in BETWEEN if name in found})
+        return self.material.with_maps(**self.material.from_surface(found))
 
     def run(self, solver: Stepping, rounds: Sequence[float]) -> Fitted:
         """Descend in rounds that take their share of the solver's steps, moving a height that is free between them."""
@@ -115,7 +114,7 @@ class Descending:
         assert surface is not None
         level = mean_value(surface.training)
         # The size of a residual by which outlying samples are told is that of values as a display shows them.
-        white, darkest = (1.0 if 0.01 < level < 10 else 10 * level), Objective(LINEAR, level).darkest
+        white, darkest = white_of(level), Objective(LINEAR, level).darkest
 
         def steepness(values: Tensor) -> Tensor:
             return power(values.clamp(min=0) + darkest, DISPLAY_POWER - 1) * (DISPLAY_POWER * white**-DISPLAY_POWER)

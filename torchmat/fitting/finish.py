@@ -182,8 +182,7 @@ class _Finish:
         """Return the material of the present maps and height."""
         maps = self.unknowns.made()
         standing = self.material.with_maps(height=self.height)
-        own = standing.from_surface({name: value for name, value in maps.items() if name not in BETWEEN})
-        return standing.with_maps(**own, **{name: maps[name] for name in BETWEEN if name in maps})
+        return standing.with_maps(**standing.from_surface(maps))
 
     def _descend(self, steps: int) -> str:
         training, btf, dtype = self.training, self.training.btf, self.training.dtype

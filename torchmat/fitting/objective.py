@@ -81,6 +81,11 @@ class Objective:
         return found.square()
 
 
+def white_of(level: float) -> float:
+    """Return the value shown as white for data of this mean: 1 by convention, or of another unit ten times the mean."""
+    return 1.0 if 0.01 < level < 10 else 10 * level
+
+
 def mean_value(training: Training) -> float:
     """Return the mean of the training samples: the unit of a fit."""
     btf, every = training.btf, bool(training.used.all())

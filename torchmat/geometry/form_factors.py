@@ -11,12 +11,12 @@ import torch
 import torch.nn.functional as functional
 from torch import Tensor
 
+from torchmat import frames
 from torchmat.geometry.normals import check_height, normals_from_slopes, slopes_from_height
 
 DIRECTIONS = 160
 _LOWEST = -0.7  # z of the lowest directions: a steep texel looks down, too
 _FARTHEST = 2  # textures that a ray is followed for
-_GOLDEN = math.pi * (3 - math.sqrt(5))
 _CLEAR = 1e-3  # texels that a ray has to be below the surface by: one that grazes its own plane meets nothing
 
 
@@ -44,7 +44,7 @@ def form_factors(height: Tensor, tiles: bool = True, directions: int | None = No
     ground = (height[0] - height.min()) * columns  # texels
     every = torch.arange(rows * columns).reshape(rows, columns)
     share = 2 * (1 - _LOWEST) / directions  # the solid angle of a ray over pi
-    for x, y, z in _spread(directions):
+    for x, y, z in frames.spiral(directions, _LOWEST).tolist():
         towards = torch.tensor([x, y, z], dtype=height.dtype)[:, None, None]
         weight = ((normal * towards).sum(dim=0) * share).clamp(min=0)
         met = _first_met(ground, every, (x, y, z), tiles)
@@ -55,16 +55,6 @@ def form_factors(height: Tensor, tiles: bool = True, directions: int | None = No
     index = torch.stack((torch.cat(targets), torch.cat(sources)))
     size = rows * columns
     return torch.sparse_coo_tensor(index, torch.cat(factors), (size, size), check_invariants=False).coalesce()
-
-
-def _spread(count: int) -> list[tuple[float, float, float]]:
-    """Return directions that fill the sphere above the lowest evenly (a Fibonacci spiral)."""
-    found = []
-    for number in range(count):
-        z = 1 - (1 - _LOWEST) * (number + 0.5) / count
-        across = math.sqrt(1 - z * z)
-        found.append((across * math.cos(number * _GOLDEN), across * math.sin(number * _GOLDEN), z))
-    return found
 
 
 def _first_met(ground: Tensor, every: Tensor, direction: tuple[float, float, float], tiles: bool) -> Tensor:

@@ -17,6 +17,7 @@ import torch
 import torch.nn.functional as functional
 from torch import Tensor, nn
 
+from torchmat import frames
 from torchmat.errors import RangeError, message
 from torchmat.geometry.form_factors import form_factors
 from torchmat.geometry.normals import normals_from_slopes, slopes_from_height
@@ -40,7 +41,6 @@ _BASIS = BASES["hsh9"]
 _LIGHTS, _LOWEST = 48, 0.08  # that the harmonics are fitted to, and the cosine of the lowest
 _BOUNCES = 2
 _MOST_TEXELS = 96 * 96  # light between texels is smooth: larger reliefs are seen smaller
-_GOLDEN = math.pi * (3 - math.sqrt(5))
 
 
 class Between(NamedTuple):
@@ -178,11 +178,7 @@ def _smaller(value: Tensor) -> Tensor:
 
 def _lights(dtype: torch.dtype) -> Tensor:
     """Return lights [l, 3, 1, 1] that fill the hemisphere evenly."""
-    number = torch.arange(_LIGHTS, dtype=torch.float64)
-    z = 1 - (1 - _LOWEST) * (number + 0.5) / _LIGHTS
-    across = (1 - z * z).sqrt()
-    found = torch.stack((across * torch.cos(number * _GOLDEN), across * torch.sin(number * _GOLDEN), z), dim=1)
-    return found[:, :, None, None].to(dtype)
+    return frames.spiral(_LIGHTS, _LOWEST)[:, :, None, None].to(dtype)
 
 
 def as_ambient(material: Any) -> Any:

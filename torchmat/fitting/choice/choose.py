@@ -86,12 +86,13 @@ def _finished(climb: Climb, fitted: Fitted, moves: bool) -> Fitted:
     done = finish(training, replace(fitted, material=material.with_relief(FINE)), moves)
     if not done.figures["finish"]["kept"]:
         return replace(fitted, figures=done.figures)
-    before, after = (climb.examiner.measure(one).cost(climb.target) for one in (material, done.material))
+    found = climb.examiner.measure(done.material)
+    before, after = (one.cost(climb.target) for one in (climb.examiner.measure(material), found))
     larger = total_bytes(done.material) > max(total_bytes(material), climb.most_bytes)
     if after >= before or larger:
         told = {**done.figures["finish"], "kept": False, "why": "stored as small as it is, it came out no better"}
         return replace(fitted, figures={**done.figures, "finish": told})
-    chosen = {**fitted.figures["auto"]["chosen"], **climb.examiner.measure(done.material)._asdict()}
+    chosen = {**fitted.figures["auto"]["chosen"], **found._asdict()}
     met = climb.limit is not None and fitted.stop_reason == NOT_MET and after <= climb.limit
     auto = {**fitted.figures["auto"], "chosen": chosen, **({"outcome": MET, "short_by_db": None} if met else {})}
     return replace(done, stop_reason=MET if met else fitted.stop_reason, figures={**done.figures, "auto": auto})

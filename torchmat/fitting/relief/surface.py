@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import tempfile
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -20,6 +21,7 @@ from torch import Tensor
 from torchmat.btf import Btf
 from torchmat.btf.decode import Decoder
 from torchmat.btf.store import CLIPPED, INVALID, VALID, summarise
+from torchmat.fitting.objective import shown, white_of
 from torchmat.fitting.relief.window import Window, surroundings
 from torchmat.fitting.training import Training
 from torchmat.geometry import slopes_from_height
@@ -32,6 +34,7 @@ from torchmat.repeatable import one_thread
 IN_MEMORY = 1_000_000_000  # bytes of resampled images; more go to a temporary file, of which the system maps what is used
 BLOCK = 4_000_000  # values resampled at a time
 _RAYS = 500_000  # walked at a time
+_BLOCK_VALUES = 2_000_000  # compared at a time
 _SEEN = 0.5  # of a texel
 _LIT = 0.5  # samples that get less of the light say more of the ambient than of the texel
 _DARK = 0.2  # and those below say nothing else
@@ -52,6 +55,20 @@ class Surface:
     lit: Tensor
     slopes: Tensor
     window: Window | None = None
+
+    def psnr_db(self, rows: Tensor, level: float, predict: Callable[[Tensor], Tensor]) -> float:
+        """Return the PSNR of what `predict` says of samples `rows`, after the display root, as far as white.
+
+        `level` is the mean of the data, which says what is white. Texel by texel, which rounds alike on any number of threads.
+        """
+        btf, white = self.training.btf, white_of(level)
+        error, count = torch.zeros(btf.height, btf.width, dtype=torch.float64), 0.0
+        for some in rows.split(max(1, _BLOCK_VALUES // (3 * btf.height * btf.width))):
+            values, valid = self.values(some)
+            gap = shown(predict(some) / white, 0).clamp(max=1) - shown(values / white, 0).clamp(max=1)
+            error += (gap.square() * valid).sum(dim=(0, 1)).double()
+            count += float(valid.sum()) * 3
+        return -10 * math.log10(max(float(error.sum()) / max(count, 1), 1e-12))
 
     def values(self, samples: slice | Tensor) -> tuple[Tensor, Tensor]:
         """Return values [k, 3, H, W] of some samples and what they count, [k, 1, H, W] in [0, 1]."""

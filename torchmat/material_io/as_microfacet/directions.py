@@ -15,7 +15,6 @@ _BESIDE_DEG = (0.0, 2.0, 6.0, 14.0)  # and those beside the mirror's direction, 
 _HALF_DEG = (0.0, 1.5, 3.5, 6.0, 9.0, 13.0, 18.0, 25.0, 34.0, 45.0, 60.0)
 _APART_DEG = (5.0, 30.0, 55.0, 72.0)  # between either direction and the half vector
 _LOWEST = 0.08  # cosine: further down what a lobe says is its masking alone
-_GOLDEN = math.pi * (3 - math.sqrt(5))
 
 
 def measured_pairs() -> tuple[Tensor, Tensor]:
@@ -28,9 +27,9 @@ def measured_pairs() -> tuple[Tensor, Tensor]:
     for number, (polar, azimuth) in enumerate(views):
         share = (torch.arange(_AROUND, dtype=torch.float64) + 0.5) / _AROUND
         least = math.cos(math.radians(_LOWEST_DEG))
-        around = frames.from_polar(torch.acos(1 - share * (1 - least)), _GOLDEN * (torch.arange(_AROUND) + 0.37 * number).double())
+        around = frames.from_polar(torch.acos(1 - share * (1 - least)), frames.GOLDEN_ANGLE * (torch.arange(_AROUND) + 0.37 * number).double())
         beside = torch.tensor(_BESIDE_DEG, dtype=torch.float64).deg2rad()
-        turned = frames.from_polar(beside, _GOLDEN * (torch.arange(len(beside)) + number).double())
+        turned = frames.from_polar(beside, frames.GOLDEN_ANGLE * (torch.arange(len(beside)) + number).double())
         mirror = frames.from_polar(torch.tensor(polar, dtype=torch.float64), torch.tensor(azimuth + math.pi, dtype=torch.float64))
         tangent, bitangent = frames.tangent_frame(mirror, dim=-1)
         lit = torch.cat((around, turned @ torch.stack((tangent, bitangent, mirror))))

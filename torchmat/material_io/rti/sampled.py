@@ -5,7 +5,6 @@ Nothing of it is solved texel by texel: all texels have the same lights, so that
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from typing import Any
 
@@ -19,16 +18,13 @@ from torchmat.models.linear import SRGB
 
 FITTED, CHECKED = 128, 24  # lights that a fit asks, and others that its error is measured under
 _LOWEST = 0.08  # of a light's z: 85 degrees
-_GOLDEN = math.pi * (3 - math.sqrt(5))
 _ASLANT = (0.48, -0.36, 0.8)
 RTI_MODELS = ("ptm", "lptm", "hsh")
 
 
 def hemisphere_of_lights(count: int, dtype: torch.dtype, turn: float = 0.0) -> Tensor:
     """Return `count` lights [count, 3, 1, 1], evenly over the hemisphere above 5 degrees, turned by `turn`."""
-    place = torch.arange(count, dtype=torch.float64)
-    polar = torch.arccos(1 - (1 - _LOWEST) * (place + 0.5) / count)
-    return frames.from_polar(polar, place * _GOLDEN + turn).to(dtype)[:, :, None, None]
+    return frames.spiral(count, _LOWEST, turn).to(dtype)[:, :, None, None]
 
 
 def is_rti(material: Material, models: tuple[str, ...] = RTI_MODELS) -> bool:

@@ -8,7 +8,6 @@ far as they can hold it, and both ways go on for as many steps. The better one i
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
@@ -18,8 +17,7 @@ import torch
 import torch.nn.functional as functional
 from torch import Tensor
 
-from torchmat.fitting.models.distribution.parameters import BLOCK_VALUES, EXPONENT, Parts
-from torchmat.fitting.objective import shown
+from torchmat.fitting.models.distribution.parameters import EXPONENT, Parts
 from torchmat.progress import whole
 from torchmat.repeatable import one_thread
 from torchmat.solvers import Minibatch
@@ -120,15 +118,8 @@ class Choice:
 
     def _psnr(self, raw: Raw, parts: Parts) -> float:
         """Return the PSNR of samples that were kept back, after the display root."""
-        btf, surface, white = self.fit.surface.training.btf, self.fit.surface, self.fit.white
-        error, count = torch.zeros(btf.height, btf.width, dtype=torch.float64), 0.0
-        for rows in self.back[:_MEASURED].split(max(1, BLOCK_VALUES // (3 * btf.height * btf.width))):
-            values, valid = surface.values(rows)
-            predicted = self.fit.predict(raw, parts, surface, rows)
-            gap = shown(predicted / white, 0).clamp(max=1) - shown(values / white, 0).clamp(max=1)
-            error += (gap.square() * valid).sum(dim=(0, 1)).double()
-            count += float(valid.sum()) * 3
-        return -10 * math.log10(max(float(error.sum()) / max(count, 1), 1e-12))
+        surface = self.fit.surface
+        return surface.psnr_db(self.back[:_MEASURED], self.fit.level, lambda rows: self.fit.predict(raw, parts, surface, rows))
 
     def _grazing(self, raw: Raw) -> float:
         """Return the mean over the samples of Schlick's rise towards grazing."""

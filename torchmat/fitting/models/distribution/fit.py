@@ -219,11 +219,6 @@ class DistributionFit:
         found = maps_of({name: value for name, value in (raw | self.known).items() if name == EXPONENT})
         return float(found[EXPONENT]) if found else self._given_exponent or SCHLICK
 
-    @property
-    def white(self) -> float:
-        """The value shown as white: 1 by convention, or for data of another unit ten times its mean."""
-        return 1.0 if 0.01 < self.level < 10 else 10 * self.level
-
     def predict(self, raw: dict[str, Tensor], parts: Parts, surface: Surface, rows: Tensor) -> Tensor:
         btf, dtype = surface.training.btf, surface.training.dtype
         light, view = (d[rows][:, :, None, None].to(dtype) for d in (btf.light, btf.view))

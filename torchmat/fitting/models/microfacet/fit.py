@@ -7,7 +7,6 @@ of the two is what the fit goes on from.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
@@ -17,7 +16,7 @@ from torch import Tensor
 from torchmat.errors import RangeError, check_option, check_positive, message, notice
 from torchmat.fitting.descending import Descending
 from torchmat.fitting.models.microfacet.start import find_start
-from torchmat.fitting.objective import DISPLAY, Residual, check_objective, mean_value, shown
+from torchmat.fitting.objective import DISPLAY, Residual, check_objective, mean_value
 from torchmat.fitting.relief.surface import Surface, bring_onto
 from torchmat.fitting.training import Fitted, Training
 from torchmat.geometry import normals_from_slopes, slopes_from_normals
@@ -32,7 +31,6 @@ _STEPS, _RATE = 1600, 0.05  # of a whole fit
 _TRIAL, _FEWEST, _LAST = 80, 40, 0.5  # steps of a trial; what of the whole fit is left at least when parts are chosen
 _GAIN_DB, _FREE_DB = 0.08, 0.03  # what a part must bring that takes bytes, and one that takes none
 _KEPT_BACK, _MEASURED = 10, 200  # one sample in so many says what a part brings; at most so many
-_BLOCK_VALUES = 2_000_000
 _FREE = ("rolloff", "layered")
 OPTIONAL = ("anisotropy", "layered", "rolloff", "f90", "coat", "sheen")  # in the order of trying
 _OF_ANGLES = ("f90", "coat", "layered")  # told from the lobe's shape by views at several angles alone
@@ -207,18 +205,9 @@ class _Fit:
 
     def _psnr(self, material: Microfacet, rows: Tensor) -> float:
         """Return the PSNR of samples after the display root, as far as white."""
-        white, btf = 1.0 if 0.01 < self.level < 10 else 10 * self.level, self.training.btf
         seen = Descending(self.surface.source, material, list(material.maps), self.objective, self.surface).seen
-        error: float = 0.0
-        count: float = 0.0
-        for some in rows.split(max(1, _BLOCK_VALUES // (3 * btf.height * btf.width))):
-            values, valid = self.surface.values(some)
-            with torch.no_grad():
-                predicted = seen.predicted({}, some)
-            gap = shown(predicted / white, 0).clamp(max=1) - shown(values / white, 0).clamp(max=1)
-            error += float((gap.square() * valid).sum(dtype=torch.float64))
-            count += float(valid.sum(dtype=torch.float64)) * 3
-        return -10 * math.log10(max(error / max(count, 1), 1e-12))
+        with torch.no_grad():
+            return self.surface.psnr_db(rows, self.level, lambda some: seen.predicted({}, some))
 
     def _whole(self, material: Microfacet) -> Fitted:
         """Descend on all samples."""
