@@ -154,6 +154,7 @@ ENTRIES: dict[str, Entry | str] = {
         scale="terms",
         gradient_scale="terms",
     ),
+    "frames.spiral": "takes a whole number",
     "frames.from_polar": Entry(
         lambda a, b: frames.from_polar(a, b, dim=0),
         exact.from_polar,
