@@ -1,0 +1,37 @@
+// The maps of the material: a small picture each, what it is, and its range.
+
+import { element } from "./dom.js";
+import { thumbnail } from "./thumbnails.js";
+
+const number = (value) => String(Number(value.toPrecision(3)));
+
+function extent(entry) {
+  const [low, high] = [Math.min(...entry.low), Math.max(...entry.high)];
+  const bits = { u8: "8 bits", u16: "16 bits", f16: "half floats", f32: "floats" }[entry.type];
+  const range = Number.isFinite(low) && Number.isFinite(high) ? `${number(low)} to ${number(high)}, ` : "";
+  return `${range}${bits}${entry.per_texel ? "" : ", shared by all texels"}`;
+}
+
+/** @param {import("./viewing.js").Viewer} viewer @returns {HTMLElement} */
+export function mapsPanel(viewer) {
+  const list = element("ul", { class: "tmv-maps" });
+  const pictures = new Map();
+  const paint = (name) => {
+    const entry = viewer.description.maps.find((one) => one.name === name);
+    if (entry && viewer.buffers[name]) pictures.get(name)?.replaceChildren(thumbnail(entry, viewer.buffers[name]));
+  };
+  const fill = () => {
+    pictures.clear();
+    list.replaceChildren(...viewer.description.maps.filter((entry) => entry.height * entry.width > 1 || entry.per_texel).map((entry) => {
+      const frame = element("div", { class: "tmv-thumb" });
+      pictures.set(entry.name, frame);
+      const title = entry.name.replaceAll("_", " ");
+      return element("li", {}, frame, element("div", {}, element("b", {}, title), element("span", {}, entry.meaning), element("small", {}, extent(entry))));
+    }));
+    // Small pictures are made after the first large one, which is what one waits for.
+    setTimeout(() => [...pictures.keys()].forEach(paint), 0);
+  };
+  viewer.on("maps", (name) => (name && pictures.has(name) ? paint(name) : fill()));
+  fill();
+  return list;
+}

@@ -1,0 +1,38 @@
+// A viewer in an element of a page: the picture and its panels.
+
+import { element } from "./dom.js";
+import { readEmbedded } from "./embedded.js";
+import { buildPanels } from "./panels.js";
+import { showPictures } from "./pictures.js";
+import { Viewer } from "./viewing.js";
+
+/**
+ * Show a material in an element.
+ * @param {HTMLElement} root
+ * @param {{data?: {description: object, buffers: Record<string, ArrayBuffer>, extra?: object}, live?: boolean, embedded?: boolean,
+ *   mesh?: string, intro?: boolean}} options data: what to show, by default what the page holds
+ * @returns {Promise<Viewer>} its `scene` is null where only pictures can be shown
+ */
+export async function mount(root, options = {}) {
+  const data = options.data ?? await readEmbedded(document);
+  const viewer = new Viewer(root, data, options);
+  root.classList.add("tmv");
+  const canvas = element("canvas", { tabindex: 0, role: "application", "aria-roledescription": "interactive picture" });
+  const stage = element("div", { class: "tmv-stage" }, canvas);
+  viewer.side = element("div", { class: "tmv-side" });
+  viewer.status = element("div", { class: "tmv-unseen", role: "status" });
+  const stills = [...root.querySelectorAll(".tmv-stills")];
+  root.classList.toggle("tmv-within", viewer.embedded);
+  root.replaceChildren(element("div", { class: "tmv-body" }, stage, viewer.side), viewer.status);
+  try {
+    if (!viewer.description.glsl) throw Object.assign(new Error("This model has no shader"), { name: "NoShader" });
+    viewer.begin(canvas);
+  } catch (error) {
+    if (!["NoWebGL2", "NoShader"].includes(error.name)) throw error;
+    showPictures(stage, error, stills, viewer);
+  }
+  buildPanels(viewer);
+  viewer.redraw();
+  if (options.intro && viewer.scene) viewer.introduce();
+  return viewer;
+}

@@ -1,0 +1,282 @@
+// One viewer: its material, scene and state, and what may be done with them.
+
+import { Camera, normalised, orbited } from "./camera.js";
+import { attachControls } from "./controls.js";
+import { openContext } from "./gl.js";
+import { MOST_LIGHTS, makeLight } from "./lights.js";
+import { Material } from "./material.js";
+import { SHAPES, makeMesh, storedMesh } from "./meshes.js";
+import { Pace } from "./pace.js";
+import { addPanel } from "./panel.js";
+import { Scene } from "./scene.js";
+import { advance, startState } from "./state.js";
+import { shownColour } from "./colours.js";
+
+const MOST_PIXELS_PER_POINT = 2;
+const INTRO = 6000; // milliseconds that the light goes round before anything was touched
+
+/** One viewer; `mount` makes it. */
+export class Viewer {
+  constructor(root, data, options) {
+    Object.assign(this, { root, description: data.description, buffers: data.buffers, extra: data.extra ?? {}, live: options.live ?? false });
+    this.embedded = options.embedded ?? false;
+    this.listeners = new Map();
+    this.frames = 0;
+    this.cost = 0;
+    this.wanted = 0;
+    this.sweptAt = 0;
+    this.start = options.mesh ?? this.extra.shape ?? (this.extra.mesh ? this.extra.mesh.name : "teapot");
+    this.state = startState(this.start);
+    this.scene = null;
+    this.material = null;
+    this.context = null;
+  }
+
+  /** @param {HTMLCanvasElement} canvas */
+  begin(canvas) {
+    this.canvas = canvas;
+    this.context = openContext(canvas);
+    this.build();
+    this.pace = new Pace(this.context.gl, () => this.redraw(false));
+    this.stopControls = attachControls(canvas, this);
+    this.resized = new ResizeObserver(() => this.redraw());
+    this.resized.observe(canvas.parentElement);
+    this.scheme = matchMedia("(prefers-color-scheme: dark)");
+    this.recoloured = () => this.redraw();
+    this.scheme.addEventListener("change", this.recoloured);
+    canvas.addEventListener("webglcontextlost", (event) => event.preventDefault());
+    canvas.addEventListener("webglcontextrestored", () => {
+      this.context = openContext(canvas);
+      this.pace.gl = this.context.gl;
+      this.pace.sync = null;
+      this.build();
+      this.redraw();
+    });
+  }
+
+  build() {
+    this.material = new Material(this.context, this.description, this.buffers);
+    this.scene = new Scene(this.context, this.material);
+    this.scene.setMesh(this.meshOf(this.state.mesh));
+  }
+
+  /** @returns {string[]} names of the objects that can be shown */
+  get meshes() {
+    return [...SHAPES, ...(this.extra.mesh ? [this.extra.mesh.name] : [])];
+  }
+
+  meshOf(name) {
+    if (SHAPES.includes(name)) return makeMesh(name);
+    this.ownMesh ??= storedMesh(this.extra.mesh, this.buffers);
+    return this.ownMesh;
+  }
+
+  /** Listen: "change" (of the state), "maps" (of the material), "frame". @returns {() => void} takes the listener away */
+  on(event, listener) {
+    if (!this.listeners.has(event)) this.listeners.set(event, new Set());
+    this.listeners.get(event).add(listener);
+    return () => this.listeners.get(event).delete(listener);
+  }
+
+  emit(event, detail) {
+    this.listeners.get(event)?.forEach((listener) => listener(detail));
+  }
+
+  /** Put a panel beside the picture. @returns {HTMLDetailsElement} */
+  addPanel(title, content, options = {}) {
+    return addPanel(this, title, content, options);
+  }
+
+  /** Change the state by a function of it; everything that shows the state follows. */
+  change(act) {
+    act(this.state);
+    this.emit("change", this.state);
+    this.redraw();
+  }
+
+  /** Draw at the next frame. */
+  redraw(stir = true) {
+    if (!this.scene) return;
+    if (stir) this.pace?.stir();
+    if (!this.wanted) this.wanted = requestAnimationFrame((now) => this.frame(now));
+  }
+
+  frame(now) {
+    this.wanted = 0;
+    if (this.gone || this.context.gl.isContextLost()) return;
+    if (this.pace.busy()) {
+      this.redraw(false);
+      return;
+    }
+    const begun = performance.now();
+    const sweeping = this.state.sweeps.length > 0;
+    if (sweeping) {
+      advance(this.state, (now - (this.sweptAt || now)) / 1000);
+      this.emit("change", this.state);
+      this.pace.stir();
+    }
+    this.sweptAt = sweeping ? now : 0;
+    this.draw();
+    this.cost = performance.now() - begun;
+    this.frames += 1;
+    this.emit("frame", this.cost);
+    if (sweeping) this.redraw(false);
+  }
+
+  draw() {
+    const { canvas } = this;
+    const box = canvas.parentElement.getBoundingClientRect();
+    const dense = Math.min(devicePixelRatio || 1, MOST_PIXELS_PER_POINT);
+    const share = this.pace.share();
+    const [columns, rows] = [box.width, box.height].map((side) => Math.max(1, Math.round(side * dense * share)));
+    if (canvas.width !== columns || canvas.height !== rows) Object.assign(canvas, { width: columns, height: rows });
+    this.scene.draw(this.picture(), columns, rows);
+    this.pace.sent(share);
+  }
+
+  /** @returns {object} what Scene.draw takes */
+  picture() {
+    const { state } = this;
+    return {
+      camera: new Camera(state.view), lights: state.lights, environment: state.environment, repeat: state.repeat,
+      exposure: state.exposure, background: shownColour(state.background, this.canvas), soften: Boolean(this.description.soften ?? this.extra.soften),
+    };
+  }
+
+  /** Turn the camera round the object, by degrees to the right and up. */
+  turn(right, up) {
+    this.change((state) => Object.assign(state.view, normalised(orbited(state.view, right, up))));
+  }
+
+  /** Move the chosen light; `away` is a factor on the distance of a point light. */
+  moveLight(right, up, away = 1) {
+    this.change((state) => {
+      const light = state.lights[state.active];
+      Object.assign(light, normalised(orbited(light, right, up)));
+      light.distance = Math.min(10, Math.max(1.1, light.distance * away));
+    });
+  }
+
+  zoom(factor) {
+    this.change((state) => {
+      const camera = new Camera(state.view);
+      camera.zoomBy(factor);
+      state.view.zoom = camera.zoom;
+    });
+  }
+
+  expose(stops) {
+    this.change((state) => {
+      state.exposure = Math.min(6, Math.max(-6, state.exposure + stops));
+    });
+  }
+
+  setMesh(name) {
+    this.scene?.setMesh(this.meshOf(name));
+    this.change((state) => {
+      state.mesh = name;
+    });
+  }
+
+  nextMesh() {
+    this.setMesh(this.meshes[(this.meshes.indexOf(this.state.mesh) + 1) % this.meshes.length]);
+  }
+
+  nextLight() {
+    this.change((state) => {
+      state.active = (state.active + 1) % state.lights.length;
+    });
+  }
+
+  addLight() {
+    if (this.state.lights.length === MOST_LIGHTS) return;
+    this.change((state) => {
+      state.lights.push(makeLight({ theta: 50, phi: (state.lights.at(-1).phi + 90) % 360, strength: 0.5 }));
+      state.active = state.lights.length - 1;
+    });
+  }
+
+  removeLight() {
+    this.change((state) => {
+      if (state.lights.length > 1) state.lights.splice(state.active, 1);
+      state.active = Math.min(state.active, state.lights.length - 1);
+    });
+  }
+
+  toggleSweep(name) {
+    this.change((state) => {
+      state.sweeps = state.sweeps.includes(name) ? state.sweeps.filter((one) => one !== name) : [...state.sweeps, name];
+    });
+  }
+
+  toggleSweeps() {
+    this.change((state) => {
+      this.rested ??= ["light.phi"];
+      [state.sweeps, this.rested] = state.sweeps.length ? [[], state.sweeps] : [this.rested, state.sweeps];
+    });
+  }
+
+  reset() {
+    this.scene?.setMesh(this.meshOf(this.start));
+    this.change((state) => Object.assign(state, startState(this.start)));
+  }
+
+  /** Somebody takes over: the light's first round ends. */
+  touched() {
+    if (!this.introduced) return;
+    clearTimeout(this.introduced);
+    this.introduced = 0;
+    this.change((state) => {
+      state.sweeps = [];
+    });
+  }
+
+  /** Let the light go round once, so that the material is seen to move; not for those who asked for stillness. */
+  introduce() {
+    if (matchMedia("(prefers-reduced-motion: reduce)").matches) return;
+    this.change((state) => {
+      state.sweeps = ["light.phi"];
+    });
+    this.introduced = setTimeout(() => this.touched(), INTRO);
+  }
+
+  /** Say the angles to those who do not see them. */
+  say() {
+    const { view, lights, active } = this.state;
+    const words = ({ theta, phi }) => `${Math.round(theta)}, ${Math.round(phi)} degrees`;
+    this.status.textContent = `View ${words(view)}. Light ${active + 1}: ${words(lights[active])}. ${this.state.mesh}.`;
+  }
+
+  /** Put another version of one map in its place. */
+  updateMap(name, entry, buffer) {
+    this.buffers[name] = buffer;
+    this.description.maps = this.description.maps.map((one) => (one.name === name ? entry : one));
+    this.material?.update(name, entry, buffer);
+    this.emit("maps", name);
+    this.redraw();
+  }
+
+  /** Show another material. */
+  setMaterial(description, buffers) {
+    Object.assign(this, { description, buffers: { ...this.buffers, ...buffers } });
+    if (this.context) {
+      this.material.dispose();
+      this.material = new Material(this.context, this.description, this.buffers);
+      this.scene.setMaterial(this.material);
+    }
+    this.emit("maps", null);
+    this.redraw();
+  }
+
+  /** Take everything away again. */
+  remove() {
+    this.gone = true;
+    cancelAnimationFrame(this.wanted);
+    this.pace?.stop();
+    this.stopControls?.();
+    this.resized?.disconnect();
+    this.scheme?.removeEventListener("change", this.recoloured);
+    this.material?.dispose();
+    this.root.replaceChildren();
+  }
+}
