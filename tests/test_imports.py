@@ -19,7 +19,7 @@ LEVELS = {
     "icc": 1, "atomic": 1, "channels": 1, "frames": 1, "images": 1, "text_file": 1, "places": 0, "metrics": 1, "bootstrap": 0, "sample": 1, "shipped": 1,
     "solvers": 1,
     "brdf": 2, "btf": 2, "geometry": 2, "models": 3, "fitting": 4, "rendering": 4, "scene_use": 2, "material_io": 4,
-    "create": 4, "report": 5, "many": 5, "cli": 6,
+    "create": 4, "web": 4, "report": 5, "many": 5, "cli": 6,
 }
 _SIDE_BY_SIDE = {"fitting", "rendering", "material_io", "create"}
 ROOMS_THAT_DO_NOT_MEET = {room: _SIDE_BY_SIDE - {room} for room in _SIDE_BY_SIDE}

@@ -26,7 +26,7 @@ def _directions() -> tuple[Tensor, Tensor, Tensor]:
 
 def _spot(toward: tuple[float, float, float], sharpness: float) -> Tensor:
     length = math.sqrt(sum(one * one for one in toward))
-    cosine = sum(one * way / length for one, way in zip(_directions(), toward, strict=True))
+    cosine = (torch.stack(_directions()) * torch.tensor(toward, dtype=torch.float64)[:, None, None]).sum(dim=0) / length
     return torch.exp(sharpness * (cosine - 1))
 
 

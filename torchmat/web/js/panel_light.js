@@ -44,7 +44,10 @@ function lightTabs(viewer) {
     const { lights, active } = viewer.state;
     if (shown === `${lights.length}/${active}`) return;
     shown = `${lights.length}/${active}`;
-    const button = (title, label, act, pressed = null) => element("button", { type: "button", "aria-label": label, "aria-pressed": pressed, onclick: act }, title);
+    const button = (title, label, act, pressed = null) => {
+      const made = element("button", { type: "button", "aria-label": label, "aria-pressed": pressed, onclick: act }, title);
+      return made;
+    };
     const choose = (place) => () => viewer.change((state) => {
       state.active = place;
     });

@@ -22,11 +22,13 @@ export function mapsPanel(viewer) {
   };
   const fill = () => {
     pictures.clear();
-    list.replaceChildren(...viewer.description.maps.filter((entry) => entry.height * entry.width > 1 || entry.per_texel).map((entry) => {
+    const shown = viewer.description.maps.filter((entry) => entry.height * entry.width > 1 || entry.per_texel);
+    list.replaceChildren(...shown.map((entry) => {
       const frame = element("div", { class: "tmv-thumb" });
       pictures.set(entry.name, frame);
       const title = entry.name.replaceAll("_", " ");
-      return element("li", {}, frame, element("div", {}, element("b", {}, title), element("span", {}, entry.meaning), element("small", {}, extent(entry))));
+      const said = [element("b", {}, title), element("span", {}, entry.meaning), element("small", {}, extent(entry))];
+      return element("li", {}, frame, element("div", {}, ...said));
     }));
     // Small pictures are made after the first large one, which is what one waits for.
     setTimeout(() => [...pictures.keys()].forEach(paint), 0);

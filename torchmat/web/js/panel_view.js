@@ -54,5 +54,6 @@ export function viewPanel(viewer) {
     viewer.touched();
     viewer.reset();
   } }, "Start again");
-  return element("div", {}, ...angleRows(viewer, "view", (state) => state.view), zoom.row, labelled("Camera", kind), element("div", { class: "tmv-buttons" }, reset));
+  return element("div", {}, ...angleRows(viewer, "view", (state) => state.view), zoom.row, labelled("Camera", kind),
+    element("div", { class: "tmv-buttons" }, reset));
 }

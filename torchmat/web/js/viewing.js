@@ -139,7 +139,8 @@ export class Viewer {
     const { state } = this;
     return {
       camera: new Camera(state.view), lights: state.lights, environment: state.environment, repeat: state.repeat,
-      exposure: state.exposure, background: shownColour(state.background, this.canvas), soften: Boolean(this.description.soften ?? this.extra.soften),
+      exposure: state.exposure, background: shownColour(state.background, this.canvas),
+      soften: Boolean(this.description.soften ?? this.extra.soften),
     };
   }
 
