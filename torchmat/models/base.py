@@ -5,6 +5,7 @@ from __future__ import annotations
 import inspect
 import math
 from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import Any, ClassVar, Self
 
 import torch
@@ -23,7 +24,8 @@ from torchmat.repeatable import wide_product
 class Material(Storable):
     """A surface whose appearance is held by texture maps.
 
-    Subclasses add keyword options, kept in `options`, and implement `own_specs` and `value`. Every model may have three
+    Subclasses add keyword options, kept in `options`, and implement `own_specs` and `value`; `glsl` names the twin of
+    `value` by which pages draw it (`torchmat/web/README.md`). Every model may have three
     more maps: `height` [1, H, W], in texture widths over the plane of the images, puts the surface on a relief with
     parallax and shadow, `ambient` [3, H, W] is the light that reaches a texel there by way of others, and `opacity`
     [1, H, W], 0 to 1, cuts the surface out: it scales all values, and a hole is black, for what lies behind is not seen.
@@ -43,6 +45,7 @@ class Material(Storable):
     isotropic: bool = False
     reciprocal: ClassVar[bool] = False
     diffuse_map: ClassVar[str | None] = None  # the map of what a texel sends of light that arrives from everywhere
+    glsl: ClassVar[str | Path | None] = None  # file of the twin of `value` in GLSL, beside the module of its class
     bright_at_horizon: bool = False  # its value need not go to 0 as the light sets: pictures of objects fade it
 
     def __init__(

@@ -86,6 +86,7 @@ class Distribution(Material):
     """
 
     name = "distribution"
+    glsl = "distribution.glsl"
     diffuse_map = "diffuse"
 
     def __init__(

@@ -145,7 +145,16 @@ def transfer(height: Tensor, diffuse: Tensor, tiles: bool) -> Tensor:
         diffuse: colours [3, H, W] of the texels; above 1 they count as 1, for no surface sends more than it gets.
         tiles: whether the relief repeats.
     """
+    planes = small_transfer(height, diffuse, tiles)
+    if planes.shape[-2:] == height.shape[-2:]:
+        return planes
     size = (height.shape[-2], height.shape[-1])
+    return functional.interpolate(planes, size=size, mode="bilinear", align_corners=False).contiguous()
+
+
+@torch.no_grad()
+def small_transfer(height: Tensor, diffuse: Tensor, tiles: bool) -> Tensor:
+    """Return the `transfer` at the resolution at which texels are told to see each other, [9, 3, h, w]."""
     height, diffuse = _smaller(height), _smaller(diffuse.clamp(0, 1))
     with one_thread():
         factors = _FACTORS.of((height,), lambda: form_factors(height, tiles), tiles)
@@ -160,10 +169,7 @@ def transfer(height: Tensor, diffuse: Tensor, tiles: bool) -> Tensor:
             total, sent = total + arrived, white[:, None] * arrived
         terms = _BASIS.evaluate(light, light)[:, :, 0, 0]
         found = torch.linalg.pinv(terms.double()).to(height.dtype) @ total.movedim(1, 0).flatten(1)
-    planes = found.reshape(len(found), -1, 3).movedim(-1, 1).unflatten(-1, height.shape[-2:])
-    if planes.shape[-2:] == size:
-        return planes.contiguous()
-    return functional.interpolate(planes, size=size, mode="bilinear", align_corners=False).contiguous()
+    return found.reshape(len(found), -1, 3).movedim(-1, 1).unflatten(-1, height.shape[-2:]).contiguous()
 
 
 def _smaller(value: Tensor) -> Tensor:

@@ -32,6 +32,7 @@ class Texture(Material):
     """A colour per texel times the cosine of the light."""
 
     name = "texture"
+    glsl = "texture.glsl"
 
     def own_specs(self) -> tuple[MapSpec, ...]:
         return (MapSpec("albedo", "diffuse colour", low=0.0, colour=True, linear=True),)
@@ -47,6 +48,7 @@ class Lambert(Material):
     """
 
     name = "lambert"
+    glsl = "lambert.glsl"
     diffuse_map = "albedo"
 
     def __init__(self, maps: Mapping[str, Tensor], *, normals: str = "map", **settings: Any) -> None:
@@ -120,6 +122,7 @@ class Ptm(Relightable):
     """Polynomial texture map: a biquadratic of the projected light per texel and channel."""
 
     name = "ptm"
+    glsl = "ptm.glsl"
 
     def own_specs(self) -> tuple[MapSpec, ...]:
         terms = BASES["polynomial"].terms
@@ -134,6 +137,7 @@ class Lptm(Relightable):
     """Luminance PTM: one biquadratic of luminance per texel, times a colour per texel."""
 
     name = "lptm"
+    glsl = "lptm.glsl"
 
     def own_specs(self) -> tuple[MapSpec, ...]:
         terms = BASES["polynomial"].terms
@@ -151,6 +155,7 @@ class Hsh(Relightable):
     """Hemispherical harmonics of the light: 4, 9 or 16 `terms` per texel and channel."""
 
     name = "hsh"
+    glsl = "hsh.glsl"
 
     def __init__(self, maps: Mapping[str, Tensor], *, terms: int = 9, **settings: Any) -> None:
         check_option(self.name, "terms", terms, HSH_TERMS)

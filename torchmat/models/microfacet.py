@@ -93,6 +93,7 @@ class Microfacet(Material):
     """
 
     name = "microfacet"
+    glsl = "microfacet.glsl"
     diffuse_map = "diffuse"
 
     def __init__(self, maps: Mapping[str, Tensor], *, parts: Sequence[str] = (), **settings: Any) -> None:

@@ -30,6 +30,7 @@ class PhongSrf(Material):
     """
 
     name = "phong_srf"
+    glsl = "phong_srf.glsl"
 
     def __init__(
         self, maps: Mapping[str, Tensor], *, residual: str = "half", base: str = "phong", **settings: Any

@@ -46,6 +46,7 @@ class ShadingMap(Material):
     """
 
     name = "shading_map"
+    glsl = "shading_map.glsl"
 
     def __init__(
         self, maps: Mapping[str, Tensor], *, slices: int = SLICES, brdf: str = "phong", overflow: str = "clamp",

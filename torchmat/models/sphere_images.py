@@ -41,6 +41,7 @@ class SphereImages(Material):
     """
 
     name = "sphere_images"
+    glsl = "sphere_images.glsl"
     isotropic = True
 
     def __init__(

@@ -1,29 +1,120 @@
-// A matte stand-in for materials, whatever they are.
+/** A material on the graphics card: its maps as textures, and the GLSL that reads and shades them. */
 
-/** A material on the graphics processor. */
+import { HEADER, TexelMap, levelsOf } from "./maps.js";
+import { Relief } from "./relief.js";
+
+const FORMAT = "torchmat-web";
+const VERSION = 1;
+
 export class Material {
-  constructor(context, description) {
-    Object.assign(this, { gl: context.gl, description });
+  /**
+   * Throws an Error for a description of another format, and for maps that are larger than the browser takes.
+   * @param {import("./gl.js").Context} context
+   * @param {object} description as torchmat/web/payload.py makes it
+   * @param {Record<string, ArrayBuffer>} buffers the codes of each map, kept for a context that is lost
+   */
+  constructor(context, description, buffers) {
+    if (description.format !== FORMAT || description.version !== VERSION) {
+      throw new Error(`The material must be ${FORMAT} ${VERSION}; it is ${description.format} ${description.version}.`);
+    }
+    this.context = context;
+    this.description = description;
+    this.numbers = { ...description.numbers };
+    this.entries = new Map(description.maps.map((entry) => [entry.name, entry]));
+    this.buffers = { ...buffers };
+    this.make();
+    this.forget = context.onRestore(() => this.make());
   }
 
-  get size() {
-    return this.description.size;
+  make() {
+    const { context, description } = this;
+    this.maps = new Map();
+    for (const [name, entry] of this.entries) {
+      this.maps.set(name, new TexelMap(context, entry, this.buffers[name], description.size, description.tiles));
+    }
+    this.relief = description.relief ? new Relief(context, description, this.maps) : null;
   }
 
+  /** How many levels of half the size each there are, from level 0 on. */
+  get levels() {
+    return levelsOf(this.description.size);
+  }
+
+  /** Every texture by the name of its sampler. */
+  get textures() {
+    const found = new Map([...this.maps].map(([name, { texture }]) => [`map_${name}`, texture]));
+    if (!this.relief) return found;
+    found.set("map_height_range", this.relief.range);
+    if (this.relief.normal) found.set("map_normal", this.relief.normal);
+    if (this.relief.fine) found.set("map_fine_height", this.relief.fineHeight);
+    return found;
+  }
+
+  /**
+   * GLSL to put after `#version 300 es`: `vec3 shade(vec2 uv, float level, vec3 light, vec3 view)`, `float cover(vec2 uv, float level)`,
+   * and what they are made of (torchmat/models/base.glsl).
+   */
   get glsl() {
-    return `vec3 shade(vec2 uv, float level, vec3 light, vec3 view) {
-  vec2 cell = floor(fract(uv) * 8.0);
-  return mix(vec3(0.2, 0.3, 0.5), vec3(0.8, 0.7, 0.5), mod(cell.x + cell.y, 2.0)) * light.z;
-}
-float cover(vec2 uv, float level) { return 1.0; }
-`;
+    const { description } = this;
+    const [height, width] = description.size;
+    const defines = { SIZE: `ivec2(${width}, ${height})`, LEVELS: this.levels, ...description.defines };
+    return [
+      HEADER,
+      ...Object.entries(defines).map(([name, value]) => `#define ${name} ${value}`),
+      ...[...this.textures.keys()].map((name) => `uniform highp sampler2DArray ${name};`),
+      ...Object.entries(this.numbers).map(([name, values]) => `uniform float number_${name}[${values.length}];`),
+      description.glsl,
+    ].join("\n");
   }
 
-  bind(program, firstUnit) {
-    return firstUnit;
+  /**
+   * Gives the program in use the maps and numbers.
+   * @param {{at: (name: string) => WebGLUniformLocation | null}} made as `context.program` returns it
+   * @param {number} firstUnit
+   * @returns {number} the unit after the last that was taken
+   */
+  bind(made, firstUnit = 0) {
+    const { context } = this;
+    let unit = firstUnit;
+    for (const [name, texture] of this.textures) {
+      if (made.at(name) === null) continue;  // the compiler found that nobody reads it
+      if (unit >= context.caps.units) throw new Error(`The material must fit this browser's ${context.caps.units} textures at once; it has more.`);
+      context.sample(made, name, texture, unit++);
+    }
+    for (const [name, values] of Object.entries(this.numbers)) context.gl.uniform1fv(made.at(`number_${name}[0]`), values);
+    return unit;
   }
 
-  update() {}
+  /**
+   * Replaces one map by other codes of it, and what follows from it. Codes of another size are brought to the material's.
+   * @param {string} name
+   * @param {object} entry as in the description
+   * @param {ArrayBuffer} buffer
+   */
+  update(name, entry, buffer) {
+    const map = this.maps.get(name);
+    if (!map) throw new Error(`The material has no map ${name}; it has ${[...this.maps.keys()].join(", ")}.`);
+    this.entries.set(name, entry);
+    this.buffers[name] = buffer;
+    if (this.context.lost) return;  // it is made anew from these
+    if (map.fits(entry)) {
+      map.update(entry, buffer);
+    } else {
+      map.dispose();
+      this.maps.set(name, new TexelMap(this.context, entry, buffer, this.description.size, this.description.tiles));
+    }
+    if (this.relief?.follows(name)) this.relief.update();
+  }
 
-  dispose() {}
+  /** Replaces numbers that the material has beside its maps, such as those of a lobe. */
+  setNumbers(name, values) {
+    if (this.numbers[name]?.length !== values.length) throw new Error(`The material has no ${values.length} numbers ${name}.`);
+    this.numbers[name] = [...values];
+  }
+
+  dispose() {
+    this.forget();
+    this.relief?.dispose();
+    for (const map of this.maps.values()) map.dispose();
+  }
 }
