@@ -6,6 +6,7 @@ from torchmat.material_io.blender import BLENDER
 from torchmat.material_io.exporter import register_exporter
 from torchmat.material_io.folder import FOLDER
 from torchmat.material_io.gltf import GLTF
+from torchmat.material_io.html import HTML
 from torchmat.material_io.ktx2 import KTX2
 from torchmat.material_io.materialx import MATERIALX
 from torchmat.material_io.mitsuba import MITSUBA
@@ -18,6 +19,6 @@ from torchmat.material_io.rti.rti_file import RTI
 from torchmat.material_io.volume import VOLUME
 
 for _exporter in (
-    FOLDER, VOLUME, PACKED, GLTF, MATERIALX, MITSUBA, BLENDER, ORM, RELIGHT, OPENLIME, PTM, RTI, KTX2,
+    FOLDER, VOLUME, PACKED, GLTF, MATERIALX, MITSUBA, BLENDER, ORM, RELIGHT, OPENLIME, PTM, RTI, KTX2, HTML,
 ):
     register_exporter(_exporter)

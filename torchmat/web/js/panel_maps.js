@@ -6,10 +6,9 @@ import { thumbnail } from "./thumbnails.js";
 const number = (value) => String(Number(value.toPrecision(3)));
 
 function extent(entry) {
-  const [low, high] = [Math.min(...entry.low), Math.max(...entry.high)];
+  const [low, high] = entry.range;
   const bits = { u8: "8 bits", u16: "16 bits", f16: "half floats", f32: "floats" }[entry.type];
-  const range = Number.isFinite(low) && Number.isFinite(high) ? `${number(low)} to ${number(high)}, ` : "";
-  return `${range}${bits}${entry.per_texel ? "" : ", shared by all texels"}`;
+  return `${low === high ? number(low) : `${number(low)} to ${number(high)}`}, ${bits}${entry.per_texel ? "" : ", shared by all texels"}`;
 }
 
 /** @param {import("./viewing.js").Viewer} viewer @returns {HTMLElement} */

@@ -2,10 +2,11 @@
 
 import { element } from "./dom.js";
 
-const SAID = {
-  NoWebGL2: "This browser has no WebGL 2, which draws the material as it moves. These pictures were made with the page.",
-  NoShader: "This kind of material has no shader: these pictures were made with the page.",
-};
+/** Of a model whose value no shader computes. */
+export class NoShader extends Error {}
+
+const NO_SHADER = "This kind of material has no shader: these pictures were made with the page.";
+const NO_WEBGL = "This browser draws no WebGL 2, in which the material moves. These pictures were made with the page.";
 
 /**
  * @param {HTMLElement} stage where the picture would be
@@ -13,11 +14,8 @@ const SAID = {
  * @param {HTMLElement[]} stills elements of the page that hold pictures
  */
 export function showPictures(stage, error, stills) {
-  const kept = stills.map((still) => {
-    still.removeAttribute("hidden");
-    return still;
-  });
+  const pictured = stills.filter((still) => still.childElementCount > 0);
+  const said = error instanceof NoShader ? NO_SHADER : pictured.length ? NO_WEBGL : `${NO_WEBGL.split(". ")[0]}.`;
   stage.classList.add("tmv-still");
-  const none = kept.length ? "" : " The page holds none.";
-  stage.replaceChildren(element("p", { role: "note" }, SAID[error.name] + none), ...kept);
+  stage.replaceChildren(element("p", { role: "note" }, said), ...pictured);
 }

@@ -2,68 +2,67 @@
 
 import { MOST_IN_ALL, forShader } from "./lights.js";
 
+// Names begin with "scene_" apart from those that a material's source may not know: it comes first in the same shader.
 const VERTEX = `#version 300 es
 precision highp float;
-in vec3 position; in vec3 normal; in vec2 uv; in vec4 tangent;
-uniform mat4 projection; uniform vec3 origin;
-out vec3 place; out vec3 across; out vec2 textured; out vec4 along;
+layout(location = 0) in vec3 position; layout(location = 1) in vec3 normal;
+layout(location = 2) in vec2 uv; layout(location = 3) in vec4 tangent;
+uniform mat4 scene_projection; uniform vec3 scene_origin;
+out vec3 scene_place; out vec3 scene_normal; out vec2 scene_uv; out vec4 scene_tangent;
 void main() {
-  place = position - origin; across = normal; textured = uv; along = tangent;
-  gl_Position = projection * vec4(position, 1.0);
+  scene_place = position - scene_origin; scene_normal = normal; scene_uv = uv; scene_tangent = tangent;
+  gl_Position = scene_projection * vec4(position, 1.0);
 }`;
 
-const HEAD = `#version 300 es
-precision highp float; precision highp int; precision highp sampler2D; precision highp sampler2DArray;
-`;
-
 const FRAGMENT = `
-in vec3 place; in vec3 across; in vec2 textured; in vec4 along;
-uniform vec4 eye; uniform vec2 pixel; uniform float texels; uniform float repeat; uniform float exposure; uniform float flattest;
-uniform vec3 background; uniform int lightCount;
-uniform vec4 lightPlace[${MOST_IN_ALL}]; uniform vec3 lightColour[${MOST_IN_ALL}];
-out vec4 shown;
+in vec3 scene_place; in vec3 scene_normal; in vec2 scene_uv; in vec4 scene_tangent;
+uniform vec4 scene_eye; uniform vec2 scene_pixel; uniform float scene_texels, scene_repeat, scene_exposure, scene_flattest;
+uniform vec3 scene_background; uniform int scene_lights;
+uniform vec4 scene_light[${MOST_IN_ALL}]; uniform vec3 scene_shine[${MOST_IN_ALL}];
+out vec4 scene_shown;
 
-vec3 encoded(vec3 linear) {
+vec3 scene_encoded(vec3 linear) {
   vec3 value = clamp(linear, 0.0, 1.0);
   return mix(12.92 * value, 1.055 * pow(max(value, 0.0031308), vec3(1.0 / 2.4)) - 0.055, step(0.0031308, value));
 }
 
-mat3 frameOf() {
-  vec3 normal = normalize(across);
-  vec3 tangent = along.xyz - normal * dot(along.xyz, normal);
+mat3 scene_frame() {
+  vec3 normal = normalize(scene_normal);
+  vec3 tangent = scene_tangent.xyz - normal * dot(scene_tangent.xyz, normal);
   // Between corners whose tangents are opposite there is none.
-  tangent = dot(tangent, tangent) > 1e-12 ? normalize(tangent) : normalize(cross(normal, abs(normal.x) < 0.9 ? vec3(1, 0, 0) : vec3(0, 1, 0)));
-  return mat3(tangent, cross(normal, tangent) * (along.w < 0.0 ? -1.0 : 1.0), normal);
+  vec3 other = cross(normal, abs(normal.x) < 0.9 ? vec3(1, 0, 0) : vec3(0, 1, 0));
+  tangent = normalize(dot(tangent, tangent) > 1e-12 ? tangent : other);
+  return mat3(tangent, cross(normal, tangent) * (scene_tangent.w < 0.0 ? -1.0 : 1.0), normal);
 }
 
 // Which copy of the material has texels as wide as a pixel covers: textures along a length go by the areas on a triangle.
-float levelOf(vec3 away, float facing) {
-  vec3 right = dFdx(place), down = dFdy(place);
-  vec2 uvRight = dFdx(textured), uvDown = dFdy(textured);
+float scene_level(vec3 away, float facing) {
+  vec3 right = dFdx(scene_place), down = dFdy(scene_place);
+  vec2 uvRight = dFdx(scene_uv), uvDown = dFdy(scene_uv);
   float area = length(cross(right, down)), covered = abs(uvRight.x * uvDown.y - uvRight.y * uvDown.x);
   float perLength = area > 0.0 ? sqrt(covered / area) : 0.0;
-  float width = pixel.x + pixel.y * length(away);
-  return max(log2(max(width * perLength * repeat / max(facing, 0.05) * texels, 1e-30)), 0.0);
+  float width = scene_pixel.x + scene_pixel.y * length(away);
+  return max(log2(max(width * perLength * scene_repeat / max(facing, 0.05) * scene_texels, 1e-30)), 0.0);
 }
 
 void main() {
-  mat3 frame = frameOf();
-  vec3 away = eye.xyz - eye.w * place;
+  mat3 frame = scene_frame();
+  vec3 away = scene_eye.xyz - scene_eye.w * scene_place;
   vec3 view = normalize(away) * frame;
-  vec2 uv = textured * repeat;
-  float level = levelOf(away, view.z);
+  vec2 uv = scene_uv * scene_repeat;
+  float level = scene_level(away, view.z);
   vec3 sum = vec3(0.0);
-  for (int k = 0; k < lightCount; k += 1) {
-    vec3 way = lightPlace[k].xyz - lightPlace[k].w * place;
+  for (int k = 0; k < scene_lights; k += 1) {
+    vec3 way = scene_light[k].xyz - scene_light[k].w * scene_place;
     float squared = dot(way, way);
     vec3 light = squared > 0.0 ? (way * inversesqrt(squared)) * frame : vec3(0.0);
     if (light.z <= 0.0 || view.z <= 0.0) continue;
     // Models that stay bright up to the horizon end there in a hard arc: they fade over the last ten degrees.
-    float fade = flattest > 0.0 ? min(light.z / flattest, 1.0) : 1.0;
-    sum += shade(uv, level, light, view) * lightColour[k] * (fade / (lightPlace[k].w > 0.0 ? squared : 1.0));
+    float fade = scene_flattest > 0.0 ? min(light.z / scene_flattest, 1.0) : 1.0;
+    sum += shade(uv, level, light, view) * scene_shine[k] * (fade / (scene_light[k].w > 0.0 ? squared : 1.0));
   }
   float opaque = view.z > 0.0 ? cover(uv, level) : 1.0;
-  shown = vec4(encoded(sum * exposure + background * (1.0 - opaque)), 1.0);
+  scene_shown = vec4(scene_encoded(sum * scene_exposure + scene_background * (1.0 - opaque)), 1.0);
 }`;
 
 const FLATTEST = Math.cos(80 * Math.PI / 180);
@@ -76,9 +75,11 @@ export class Scene {
    * @param {object} material of material.js
    */
   constructor(context, material) {
+    this.context = context;
     this.gl = context.gl;
     this.material = material;
     this.mesh = null;
+    this.forget = context.onRestore(() => this.restore());
     this.samples = Math.min(4, this.gl.getParameter(this.gl.MAX_SAMPLES));
     this.drawn = 0;
   }
@@ -88,12 +89,18 @@ export class Scene {
     this.material = material;
   }
 
+  /** What a context that was lost had is made anew. */
+  restore() {
+    const { mesh } = this;
+    Object.assign(this, { vertices: null, many: null, mesh: null });
+    if (mesh) this.setMesh(mesh);
+  }
+
   /** @param {import("./meshes.js").Mesh} mesh */
   setMesh(mesh) {
     if (mesh === this.mesh) return;
     const { gl } = this;
-    this.vertices?.buffers.forEach((buffer) => gl.deleteBuffer(buffer));
-    if (this.vertices) gl.deleteVertexArray(this.vertices.array);
+    this.dropMesh();
     const array = gl.createVertexArray();
     gl.bindVertexArray(array);
     const buffers = ATTRIBUTES.map(([name, size], place) => {
@@ -112,30 +119,16 @@ export class Scene {
     this.mesh = mesh;
   }
 
-  /** @returns {WebGLProgram} that of the material's shader, built when that has changed */
-  program() {
-    const source = this.material.glsl;
-    if (this.built?.source === source) return this.built;
-    const { gl } = this;
-    if (this.built) gl.deleteProgram(this.built.program);
-    const program = gl.createProgram();
-    const parts = [[gl.VERTEX_SHADER, VERTEX], [gl.FRAGMENT_SHADER, HEAD + withoutVersion(source) + FRAGMENT]];
-    for (const [kind, text] of parts) {
-      const shader = gl.createShader(kind);
-      gl.shaderSource(shader, text);
-      gl.compileShader(shader);
-      gl.attachShader(program, shader);
-      gl.deleteShader(shader);
-    }
-    ATTRIBUTES.forEach(([name], place) => gl.bindAttribLocation(program, place, name));
-    gl.linkProgram(program);
-    if (!gl.getProgramParameter(program, gl.LINK_STATUS)) {
-      const said = gl.getAttachedShaders(program).map((shader) => gl.getShaderInfoLog(shader)).join("\n");
-      throw new Error(`The material's shader was refused: ${said || gl.getProgramInfoLog(program)}`);
-    }
-    const place = new Map();
-    this.built = { source, program, at: (name) => place.get(name) ?? remember(place, name, gl.getUniformLocation(program, name)) };
-    return this.built;
+  dropMesh() {
+    this.vertices?.buffers.forEach((buffer) => this.gl.deleteBuffer(buffer));
+    if (this.vertices) this.gl.deleteVertexArray(this.vertices.array);
+    this.vertices = null;
+  }
+
+  dispose() {
+    this.forget();
+    this.dropMesh();
+    this.dropSmooth();
   }
 
   /**
@@ -163,9 +156,11 @@ export class Scene {
 
   drawObject(view, columns, rows) {
     const { gl, mesh } = this;
-    const { program, at } = this.program();
-    gl.useProgram(program);
+    const made = this.context.program(VERTEX, `#version 300 es\n${this.material.glsl}${FRAGMENT}`);
+    const at = (name) => made.at(`scene_${name}`);
+    gl.useProgram(made.program);
     const { projection, eye, pixel } = view.camera.look(mesh, columns, rows);
+    const { description } = this.material;
     const lights = forShader(view.lights, view.environment, mesh);
     // Places count from the object's centre: far away from 0 they would have few digits left.
     const near = (place, k) => (k % 4 < 3 && lights.place[k - (k % 4) + 3] ? place - mesh.centre[k % 4] : place);
@@ -173,15 +168,15 @@ export class Scene {
     gl.uniform3fv(at("origin"), mesh.centre);
     gl.uniform4fv(at("eye"), eye.map((one, k) => (k < 3 && eye[3] ? one - mesh.centre[k] : one)));
     gl.uniform2fv(at("pixel"), pixel);
-    gl.uniform1f(at("texels"), Math.max(...this.material.size));
+    gl.uniform1f(at("texels"), Math.max(...(description.whole_size ?? description.size)));
     gl.uniform1f(at("repeat"), view.repeat);
     gl.uniform1f(at("exposure"), 2 ** view.exposure);
     gl.uniform1f(at("flattest"), view.soften ? FLATTEST : 0);
     gl.uniform3fv(at("background"), view.background);
-    gl.uniform1i(at("lightCount"), lights.count);
-    gl.uniform4fv(at("lightPlace"), lights.place.map(near));
-    gl.uniform3fv(at("lightColour"), lights.colour);
-    this.material.bind(program, 0);
+    gl.uniform1i(at("lights"), lights.count);
+    gl.uniform4fv(at("light[0]"), lights.place.map(near));
+    gl.uniform3fv(at("shine[0]"), lights.colour);
+    this.material.bind(made, 0);
     gl.bindVertexArray(this.vertices.array);
     gl.drawElements(gl.TRIANGLES, mesh.faces.length, gl.UNSIGNED_INT, 0);
     gl.bindVertexArray(null);
@@ -241,18 +236,10 @@ export class Scene {
     gl.deleteFramebuffer(frame);
     [colour, depth].forEach((part) => gl.deleteRenderbuffer(part));
     const found = new Uint8Array(bottomUp.length);
-    for (let row = 0; row < rows; row += 1) found.set(bottomUp.subarray(4 * columns * row, 4 * columns * (row + 1)), 4 * columns * (rows - 1 - row));
+    const line = 4 * columns;
+    for (let row = 0; row < rows; row += 1) found.set(bottomUp.subarray(line * row, line * (row + 1)), line * (rows - 1 - row));
     return found;
   }
-}
-
-function remember(places, name, place) {
-  places.set(name, place);
-  return place;
-}
-
-function withoutVersion(source) {
-  return source.replace(/^\s*#version[^\n]*\n/, "");
 }
 
 /** @param {number} value linear, 0 to 1 @returns {number} as sRGB encodes it */

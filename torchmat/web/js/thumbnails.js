@@ -24,8 +24,8 @@ function reader(entry, buffer) {
 
 /**
  * Return a picture of a map's first layer: colours as they are seen, other maps from their least to their largest value.
- * @param {{type: string, kind: string, layers: number, channels: number, height: number, width: number, transfer: string}} entry
- * @param {ArrayBuffer} buffer its codes, planes [layer][channel][row][column]
+ * @param {{type: string, colour: boolean, layers: number, channels: number, height: number, width: number, transfer: string}} entry
+ * @param {ArrayBuffer} buffer its codes, [layer][row][column][channel]
  * @returns {HTMLCanvasElement}
  */
 export function thumbnail(entry, buffer) {
@@ -41,7 +41,7 @@ export function thumbnail(entry, buffer) {
     for (let x = 0; x < canvas.width; x += 1) {
       const [row, column] = [Math.floor((y + 0.5) * height / canvas.height), Math.floor((x + 0.5) * width / canvas.width)];
       planes.forEach((plane, k) => {
-        values[3 * (y * canvas.width + x) + k] = read((plane * height + row) * width + column);
+        values[3 * (y * canvas.width + x) + k] = read((row * width + column) * channels + plane);
       });
     }
   }
@@ -50,7 +50,7 @@ export function thumbnail(entry, buffer) {
 }
 
 function painted(entry, values, { width, height }) {
-  const colour = entry.kind === "colour";
+  const colour = entry.colour;
   let [low, high] = [0, 1];
   if (!colour || entry.type.startsWith("f")) {
     const finite = values.filter(Number.isFinite);

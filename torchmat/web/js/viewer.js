@@ -2,8 +2,9 @@
 
 import { element } from "./dom.js";
 import { readEmbedded } from "./embedded.js";
+import { NoWebGL2 } from "./gl.js";
 import { buildPanels } from "./panels.js";
-import { showPictures } from "./pictures.js";
+import { NoShader, showPictures } from "./pictures.js";
 import { Viewer } from "./viewing.js";
 
 /**
@@ -25,11 +26,11 @@ export async function mount(root, options = {}) {
   root.classList.toggle("tmv-within", viewer.embedded);
   root.replaceChildren(element("div", { class: "tmv-body" }, stage, viewer.side), viewer.status);
   try {
-    if (!viewer.description.glsl) throw Object.assign(new Error("This model has no shader"), { name: "NoShader" });
+    if (!viewer.description.glsl) throw new NoShader();
     viewer.begin(canvas);
   } catch (error) {
-    if (!["NoWebGL2", "NoShader"].includes(error.name)) throw error;
-    showPictures(stage, error, stills, viewer);
+    if (!(error instanceof NoWebGL2 || error instanceof NoShader)) throw error;
+    showPictures(stage, error, stills);
   }
   buildPanels(viewer);
   viewer.redraw();

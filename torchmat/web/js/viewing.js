@@ -35,7 +35,8 @@ export class Viewer {
   /** @param {HTMLCanvasElement} canvas */
   begin(canvas) {
     this.canvas = canvas;
-    this.context = openContext(canvas);
+    // Edges are smoothed in a frame buffer of the scene's own.
+    this.context = openContext(canvas, { alpha: false, antialias: false, depth: false, powerPreference: "low-power" });
     this.build();
     this.pace = new Pace(this.context.gl, () => this.redraw(false));
     this.stopControls = attachControls(canvas, this);
@@ -44,12 +45,8 @@ export class Viewer {
     this.scheme = matchMedia("(prefers-color-scheme: dark)");
     this.recoloured = () => this.redraw();
     this.scheme.addEventListener("change", this.recoloured);
-    canvas.addEventListener("webglcontextlost", (event) => event.preventDefault());
-    canvas.addEventListener("webglcontextrestored", () => {
-      this.context = openContext(canvas);
-      this.pace.gl = this.context.gl;
+    this.context.onRestore(() => {
       this.pace.sync = null;
-      this.build();
       this.redraw();
     });
   }
@@ -277,6 +274,7 @@ export class Viewer {
     this.stopControls?.();
     this.resized?.disconnect();
     this.scheme?.removeEventListener("change", this.recoloured);
+    this.scene?.dispose();
     this.material?.dispose();
     this.root.replaceChildren();
   }
