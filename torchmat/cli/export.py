@@ -23,14 +23,15 @@ class Export:
     to: str | None = None
     """folder (torchmat's own, with --set storage=png8), 3pm (a shading map's slices), packed (few textures for a shader),
     gltf (GLB), orm (a texture set, with --set vendor=unity), materialx, mitsuba, blender, relight, openlime, ptm, rti (for RTI
-    viewers), ktx2 (half floats), or another exporter's name (default: as the suffix of --out says)."""
+    viewers), ktx2 (half floats), html (one page that shows it, moving, in any browser), or another exporter's name (default:
+    as the suffix of --out says)."""
     out: Path | None = None
     """File or folder to write (default: called as the material, in the current folder). An earlier export there is
     replaced. The losses are written into the folder (loss.json) or beside the file (NAME.loss.json)."""
     force: bool = False
     """Replace it even if it was changed since, and keep it as NAME.backup-1."""
     mesh: str | None = None
-    """glTF only: what shows the material, a mesh file or quad, cube, sphere, torus, teapot (default: quad)."""
+    """glTF and html: what shows the material, a mesh file or quad, cube, sphere, torus, teapot (default: quad; html: teapot)."""
     btf: str | None = None
     """Folder, zip or file of images on which what the form holds is measured: on those that the material's fit held out."""
     set: Annotated[list[str], tyro.conf.UseAppendAction] = field(default_factory=list)
@@ -50,7 +51,7 @@ class Export:
         exporter = chosen_exporter(self.out or "", self.to)
         out = self.out or Path(Path(self.material).resolve().stem + (exporter.suffix or f"_{exporter.name}"))
         check_apart("export", out, self.material)
-        options = options_of(self.set) | self._mesh()
+        options = options_of(self.set) | self._mesh(exporter.name) | self._report(exporter.options)
         measured = self._samples()
         with phase(f"writing {out.name}"):
             losses = export(
@@ -62,13 +63,20 @@ class Export:
         print(f"{exporter.name:10s} {out}")
         print(f"losses     {loss_file(out, exporter)}")
 
-    def _mesh(self) -> dict[str, Any]:
-        """Return the mesh that a GLB shows; the quad is the exporter's own."""
+    def _report(self, known: dict[str, Any]) -> dict[str, Any]:
+        """Return the report that stands beside the material, for a form that shows its errors."""
+        from torchmat.text_file import read_json
+
+        path = Path(self.material) / "report.json"
+        return {"report": read_json(path, "report.json", "be the report of a fit")} if "report" in known and path.is_file() else {}
+
+    def _mesh(self, form: str) -> dict[str, Any]:
+        """Return the mesh that a GLB or a page shows; shapes that it has itself by their names."""
         from torchmat.rendering.mesh import load_mesh
         from torchmat.rendering.shapes import SHAPES, make_mesh
 
-        if self.mesh is None or self.mesh == "quad":
-            return {} if self.mesh is None else {"mesh": "quad"}
+        if self.mesh is None or self.mesh == "quad" or (form == "html" and self.mesh in SHAPES):
+            return {} if self.mesh is None else {"mesh": self.mesh}
         with phase(f"reading {Path(self.mesh).name}"):
             return {"mesh": make_mesh(self.mesh) if self.mesh in SHAPES else load_mesh(self.mesh)}
 

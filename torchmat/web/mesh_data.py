@@ -47,7 +47,8 @@ def packed_mesh(mesh: Any) -> tuple[dict[str, Any], dict[str, bytes]]:
         "handedness": np.where(mesh.handedness.numpy() < 0, -1, 1).astype("i1"), "uv": mesh.uv.numpy().astype("<f4"),
         "faces": mesh.faces.numpy().astype("<u2" if count <= _TOP + 1 else "<u4"),
     }
-    entry = {"name": str(getattr(mesh, "name", "mesh")) or "mesh", "vertices": count, "triangles": len(mesh.faces), "low": low.tolist(), "high": high.tolist()}
+    name = str(getattr(mesh, "name", "mesh")) or "mesh"
+    entry = {"name": name, "vertices": count, "triangles": len(mesh.faces), "low": low.tolist(), "high": high.tolist()}
     return entry, {f"mesh:{name}": one.tobytes() for name, one in buffers.items()}
 
 

@@ -18,7 +18,9 @@ _QUALITY = 85  # of JPEG
 _THREE_QUARTER = (0.7, 0.5, 1.0)
 _NEUTRAL = 0.2  # behind an object, linear
 # Polar angle and azimuth of light and view, degrees: lit from all sides, and seen and lit ever flatter.
-_PAIRS = (((45, 135), (0, 0)), ((45, 45), (0, 0)), ((70, 180), (0, 0)), ((70, 0), (0, 0)), ((45, 180), (45, 0)), ((60, 180), (60, 0)), ((30, 0), (60, 0)))
+_PAIRS = (
+    ((45, 135), (0, 0)), ((45, 45), (0, 0)), ((70, 180), (0, 0)), ((70, 0), (0, 0)), ((45, 180), (45, 0)), ((60, 180), (60, 0)), ((30, 0), (60, 0)),
+)
 
 
 def still(picture: Tensor, said: str) -> Still:
@@ -36,7 +38,7 @@ def object_stills(material: Material, mesh: object = "teapot", size: int = 280) 
     """Return one picture of a material on an object."""
     name = mesh if isinstance(mesh, str) else getattr(mesh, "name", "an object")
     view = (0.0, 0.0, 1.0) if mesh in ("quad", "sphere") else _THREE_QUARTER
-    return [still(render(material, mesh, view=view, size=size), f"The material on: {name}")]  # type: ignore[arg-type]
+    return [still(render(material, mesh, view=view, size=size, edges_only=True), f"The material on: {name}")]  # type: ignore[arg-type]
 
 
 def gallery(material: Material, size: int = 160) -> list[Still]:

@@ -10,7 +10,7 @@ export function objectPanel(viewer) {
   });
   const mesh = choice(viewer.meshes.map((name) => [name, name[0].toUpperCase() + name.slice(1)]), viewer.state.mesh, (name) => viewer.setMesh(name));
   const repeat = slider({ label: "Repeat", low: 0.25, high: 8, step: 0.25, value: viewer.state.repeat, changed: change("repeat") });
-  const exposure = slider({ label: "Exposure, stops", low: -6, high: 6, step: 0.25, value: 0, changed: change("exposure") });
+  const exposure = slider({ label: "Exposure", unit: "stops", low: -6, high: 6, step: 0.25, value: 0, changed: change("exposure") });
   const background = choice(BACKGROUNDS, "page", change("background"));
   viewer.on("change", (state) => {
     mesh.value = state.mesh;

@@ -17,6 +17,7 @@ import { Viewer } from "./viewing.js";
 export async function mount(root, options = {}) {
   const data = options.data ?? await readEmbedded(document);
   const viewer = new Viewer(root, data, options);
+  root.viewer = viewer;
   root.classList.add("tmv");
   const canvas = element("canvas", { tabindex: 0, role: "application", "aria-roledescription": "interactive picture" });
   const stage = element("div", { class: "tmv-stage" }, canvas);

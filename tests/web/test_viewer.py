@@ -1,0 +1,270 @@
+"""The page of a material: what hands, sliders and keys do to it, that it rests, and that nothing overlaps."""
+
+from __future__ import annotations
+
+import json
+import math
+
+import pytest
+import torch
+from tests.web.pages import ROOT, asked, exported, opened, rested, smooth
+
+import torchmat as tm
+from torchmat.errors import RangeError
+
+REPORT = {"held_out_after_export": {"relative_error": 0.03125, "psnr_db": 31.5, "ssim": None}, "train": {"relative_error": 0.02}}
+ANGLES = "[viewer.state.view.theta, viewer.state.view.phi, viewer.state.lights[0].theta, viewer.state.lights[0].phi]"
+
+
+@pytest.fixture(scope="module")
+def path(tmp_path_factory):
+    return exported(smooth("ptm"), tmp_path_factory.mktemp("pages") / "ptm.html", report=REPORT, title='A "title" <b>')
+
+
+@pytest.fixture(scope="module")
+def page(chromium, path):
+    page = opened(chromium, path, 400, 560)
+    yield page
+    assert page.problems == []
+    page.close()
+
+
+@pytest.fixture(autouse=True)
+def at_the_start(request):
+    if "page" in request.fixturenames:
+        asked(request.getfixturevalue("page"), "viewer.reset()")
+
+
+def test_it_is_one_small_file_that_asks_for_nothing(path):
+    text = path.read_text(encoding="utf-8")
+    codes = 48 * 48 * 6 * 3 * 2
+    assert len(text.encode()) - codes < 300_000
+    assert "http" not in text.replace("http://www.w3.org", "") and "<link" not in text and 'src="data:image/jpeg' in text
+    assert "A &quot;title&quot; &lt;b&gt;" in text
+
+
+def orbited(theta, phi, right, up):
+    """Return the angles of a direction after a turn round the vertical axis and upward, degrees."""
+    flat = math.sin(math.radians(theta))
+    x, y, z = flat * math.cos(math.radians(phi)), flat * math.sin(math.radians(phi)), math.cos(math.radians(theta))
+    azimuth, height = math.atan2(x, z) + math.radians(right), math.asin(y) + math.radians(up)
+    x, y, z = math.cos(height) * math.sin(azimuth), math.sin(height), math.cos(height) * math.cos(azimuth)
+    return math.degrees(math.acos(z)), math.degrees(math.atan2(y, x))
+
+
+def test_drags_turn_the_view_and_with_shift_the_light(page):
+    box = page.locator("canvas").first.bounding_box()
+    middle = (box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
+    start = asked(page, ANGLES)
+
+    def drag(right, down):
+        page.mouse.move(*middle)
+        page.mouse.down()
+        page.mouse.move(middle[0] + right, middle[1] + down, steps=4)
+        page.mouse.up()
+        return asked(page, ANGLES)
+
+    turned = drag(40, 25)
+    assert turned[2:] == start[2:]
+    # 0.4 degrees a pixel: the hand goes right, the camera left; the hand goes down, the camera up.
+    assert turned[:2] == pytest.approx(orbited(*start[:2], -16, 10), abs=1e-6)
+    page.keyboard.down("Shift")
+    lit = drag(-30, 0)
+    page.keyboard.up("Shift")
+    assert lit[:2] == turned[:2] and lit[2:] != turned[2:]
+
+
+def test_the_wheel_and_keys_do_what_the_page_says(page):
+    page.locator("canvas").first.hover()
+    page.mouse.wheel(0, -100)
+    assert asked(page, "viewer.state.view.zoom") == pytest.approx(1.1)
+    asked(page, "viewer.change((state) => { state.lights[0].kind = 'point'; })")
+    page.keyboard.down("Shift")
+    page.mouse.wheel(0, 100)
+    page.keyboard.up("Shift")
+    assert asked(page, "viewer.state.lights[0].distance") == pytest.approx(3.3)
+    asked(page, "viewer.reset()")
+    page.locator("canvas").first.focus()
+    start = asked(page, ANGLES)
+    for key, differs in (("ArrowLeft", (0, 1)), ("ArrowDown", (0, 1)), ("Shift+ArrowRight", (2, 3)), ("Alt+ArrowUp", (0, 1))):
+        page.keyboard.press(key)
+        now = asked(page, ANGLES)
+        assert all((now[k] != start[k]) == (k in differs) for k in range(4)), key
+        start = now
+    page.keyboard.press("o")
+    assert asked(page, "viewer.state.mesh") == "quad" and "quad" in page.inner_text("[role=status]")
+    page.keyboard.press("PageUp")
+    assert asked(page, "viewer.state.exposure") == 0.25
+    page.keyboard.press("0")
+    assert asked(page, "[viewer.state.mesh, viewer.state.exposure]") == ["teapot", 0]
+
+
+def test_sliders_numbers_and_state_say_the_same(page):
+    view = page.locator(".tmv-panel").first
+    slider, typed = (view.locator(f"input[type={kind}]").first for kind in ("range", "number"))
+    typed.fill("-120.5")
+    assert asked(page, "viewer.state.view.theta") == -120.5 and float(slider.input_value()) == pytest.approx(-120, abs=1)
+    slider.fill("25")
+    assert asked(page, "viewer.state.view.theta") == 25 and typed.input_value() == "25"
+    typed.fill("500")  # out of range: nothing changes
+    assert asked(page, "viewer.state.view.theta") == 25
+    typed.blur()
+    assert typed.input_value() == "25"
+
+
+def test_it_rests_without_drawing_and_sweeps_when_asked(page):
+    rested(page)
+    before = asked(page, "viewer.frames")
+    page.wait_for_timeout(1000)
+    assert asked(page, "viewer.frames") == before
+    page.get_by_role("button", name="Sweep the light's phi").click()
+    page.wait_for_function(f"{ROOT}.frames > {before + 2}")
+    page.get_by_role("button", name="Sweep the light's phi").click()
+    assert asked(page, ANGLES)[3] != pytest.approx(128.66, abs=0.5)
+
+
+def test_lights_come_and_go_up_to_four(page):
+    for count in (2, 3, 4):
+        page.get_by_role("button", name="Add a light").click()
+        assert asked(page, "viewer.state.lights.length") == count
+    assert page.get_by_role("button", name="Add a light").count() == 0
+    page.get_by_role("button", name="Light 2").click()
+    assert asked(page, "viewer.state.active") == 1
+    page.get_by_role("button", name="Take this light away").click()
+    assert asked(page, "[viewer.state.lights.length, viewer.state.active]") == [3, 1]
+
+
+def test_an_environment_adds_its_light(page):
+    mean = "(() => { const p = viewer.scene.picture(viewer.picture(), 40, 40); return p.reduce((sum, one) => sum + one, 0) / p.length; })()"
+    alone = asked(page, mean)
+    for name in ("sky", "studio", "evening"):
+        asked(page, f"viewer.change((state) => {{ state.environment = '{name}'; }})")
+        assert asked(page, mean) > alone + 3
+    asked(page, "viewer.change((state) => { state.lights[0].strength = 0; state.environment = ''; state.background = '#000000'; })")
+    assert asked(page, mean) == pytest.approx(255 / 4, abs=0.01)  # black, but for the opacity
+
+
+def test_what_is_known_stands_beside_it(page):
+    page.evaluate("() => document.querySelectorAll('details').forEach((one) => { one.open = true; })")
+    words = page.inner_text(".tmv-side")
+    assert "polynomial" in words and "0.0312" in words and "31.5" in words and "SSIM)" not in words
+    assert "turn the object" in words
+    assert page.locator(".tmv-thumb canvas").count() == 1
+
+
+LAID_OUT = """() => {
+  const boxes = [...document.querySelectorAll('h1, header p, .tmv-stage, .tmv-row > *, summary, .tmv-buttons > *, .tmv-tabs > *, .tmv-maps li, .tmv-table')]
+    .filter((one) => one.checkVisibility() && one.getBoundingClientRect().width > 0)
+    .map((one) => [one.textContent.slice(0, 20) || one.tagName, one.getBoundingClientRect()]);
+  const over = [];
+  const side = document.querySelector('.tmv-side').getBoundingClientRect();
+  boxes.forEach(([name, a], k) => boxes.slice(k + 1).forEach(([other, b]) => {
+    const [wide, high] = [Math.min(a.right, b.right) - Math.max(a.left, b.left), Math.min(a.bottom, b.bottom) - Math.max(a.top, b.top)];
+    if (wide > 1 && high > 1) over.push(`${name} / ${other}`);
+  }));
+  const out = boxes.filter(([, box]) => box.right > innerWidth + 1 || box.left < -1).map(([name]) => name);
+  return { over, out, scrolls: document.documentElement.scrollWidth > innerWidth, side: side.width, count: boxes.length };
+}"""
+
+
+@pytest.mark.parametrize("width, height", [(1280, 720), (390, 844)])
+def test_nothing_overlaps(chromium, path, width, height):
+    page = opened(chromium, path, width, height)
+    page.evaluate("() => document.querySelectorAll('details').forEach((one) => { one.open = true; })")
+    found = page.evaluate(LAID_OUT)
+    assert (found["over"], found["out"], found["scrolls"]) == ([], [], False) and found["count"] > 40
+    assert page.problems == []
+    page.close()
+
+
+def test_fingers_turn_and_two_zoom(chromium, path):
+    page = opened(chromium, path, 390, 600, has_touch=True)
+    assert asked(page, "viewer.canvas.width") <= 2 * 390
+    found = page.evaluate(f"""() => {{
+      const viewer = {ROOT}, {{ canvas }} = viewer;
+      const send = (kind, id, x, y) => canvas.dispatchEvent(new PointerEvent(kind, {{ pointerId: id, clientX: x, clientY: y, pointerType: 'touch', bubbles: true }}));
+      canvas.setPointerCapture = () => {{}};
+      const told = () => [viewer.state.view.theta, viewer.state.view.zoom, viewer.state.lights[0].theta];
+      const all = [told()];
+      send('pointerdown', 1, 100, 200); send('pointermove', 1, 130, 200); all.push(told());
+      send('pointerdown', 2, 200, 200); send('pointermove', 2, 235, 200); all.push(told());
+      send('pointerup', 1, 0, 0); send('pointerup', 2, 0, 0); send('pointermove', 2, 10, 10); all.push(told());
+      return all;
+    }}""")
+    assert found[1][0] != found[0][0] and found[1][1:] == found[0][1:]
+    assert found[2][1] == pytest.approx(1.5) and found[2][0] == found[1][0] and found[2][2] != found[1][2]
+    assert found[3] == found[2]
+    page.close()
+
+
+def test_a_browser_without_webgl_says_so_and_has_pictures(chromium, path):
+    before = "const old = HTMLCanvasElement.prototype.getContext;" \
+        "HTMLCanvasElement.prototype.getContext = function (kind, ...more) { return kind === 'webgl2' ? null : old.call(this, kind, ...more); };"
+    page = opened(chromium, path, ready=False, before=before)
+    page.wait_for_selector("[role=note]")
+    assert "WebGL 2" in page.inner_text("[role=note]") and "0.0312" in page.text_content(".tmv-side")
+    assert page.evaluate("document.querySelector('.tmv-stills img').naturalWidth") > 200
+    assert page.problems == []
+    page.close()
+
+
+def test_a_context_that_was_lost_comes_back(page):
+    picture = "(() => { const p = viewer.scene.picture(viewer.picture(), 30, 30); return p.reduce((sum, one) => sum + one, 0); })()"
+    before = asked(page, picture)
+    page.evaluate(f"""async () => {{
+      const {{ gl, canvas }} = {ROOT}.context;
+      const loss = gl.getExtension('WEBGL_lose_context');
+      const heard = (name) => new Promise((done) => canvas.addEventListener(name, () => setTimeout(done, 20), {{ once: true }}));
+      const lost = heard('webglcontextlost');
+      loss.loseContext();
+      await lost;
+      const back = heard('webglcontextrestored');
+      loss.restoreContext();
+      await back;
+    }}""")
+    assert asked(page, picture) == before > 0
+
+
+def test_models_without_a_shader_are_shown_by_pictures(chromium, tmp_path):
+    path = tmp_path / "pca.html"
+    losses = tm.export(smooth("pca", side=8), path, "html")
+    assert losses.exact == () and set(losses.lost) >= {"component", "weight"}
+    page = opened(chromium, path, ready=False)
+    page.wait_for_selector("[role=note]")
+    assert page.locator(".tmv-stills img").count() == 8 and "no shader" in page.inner_text("[role=note]")
+    assert path.stat().st_size < 300_000 and page.problems == []
+    page.close()
+
+
+def test_losses_and_size(tmp_path):
+    small = smooth("distribution", {"parts": ["normal"]}, relief=True)
+    losses = tm.export(small, tmp_path / "a.html", "html")
+    assert losses.lost == {} and set(losses.exact) | set(losses.approximated) == {spec.name for spec in small.specs()}
+    losses = tm.export(small, tmp_path / "b.html", "html", texels=20)
+    assert losses.approximated["height"] == "(1, 48, 48) becomes (1, 20, 20)"
+    assert "The maps are shown in 20 x 20 texels; the material has 48 x 48." in (tmp_path / "b.html").read_text(encoding="utf-8")
+    table = json.loads((tmp_path / "b.html.loss.json").read_text())
+    assert table["options"] == {"mesh": "teapot", "title": "", "report": None, "texels": 20}
+    for options, words in (
+        ({"mesh": "bunny"}, "mesh must be one of quad, .*; it is 'bunny'"), ({"mesh": 3}, "mesh must be a shape's name or a mesh; it is 3"),
+        ({"texels": 0}, "texels must be a whole number of at least 1; it is 0"), ({"report": 3}, "report must be a mapping; it is int"),
+    ):
+        with pytest.raises(RangeError, match=words):
+            tm.export(small, tmp_path / "c.html", "html", **options)
+    assert not (tmp_path / "c.html").exists()
+
+
+def test_a_mesh_of_ones_own_is_held(chromium, tmp_path):
+    from torchmat.rendering.shapes import make_mesh
+
+    mesh = make_mesh("torus", segments=30)
+    object.__setattr__(mesh, "name", "my ring")
+    page = opened(chromium, exported(smooth("lambert", side=12), tmp_path / "ring.html", mesh=mesh))
+    assert asked(page, "viewer.state.mesh") == "my ring"
+    own = asked(page, "Object.fromEntries(['position', 'normal', 'uv', 'tangent', 'faces'].map((part) => [part, [...viewer.scene.mesh[part]]]))")
+    for part, bound in (("position", 2e-5), ("normal", 1e-4), ("uv", 0)):
+        assert float((torch.tensor(own[part]) - getattr(mesh, part).flatten()).abs().max()) <= bound
+    tangent = torch.tensor(own["tangent"]).reshape(-1, 4)
+    assert float((tangent[:, :3] - mesh.tangent).abs().max()) < 1e-4 and bool((tangent[:, 3] == mesh.handedness).all())
+    assert own["faces"] == mesh.faces.flatten().tolist() and page.problems == []
+    page.close()
