@@ -46,7 +46,7 @@ async ({half}) => {
       gl.texParameteri(gl.TEXTURE_2D_ARRAY, gl.TEXTURE_MIN_FILTER, gl.NEAREST);
       gl.texParameteri(gl.TEXTURE_2D_ARRAY, gl.TEXTURE_MAG_FILTER, gl.NEAREST);
       gl.texImage3D(gl.TEXTURE_2D_ARRAY, 0, gl.RGBA32F, ...size, 3, 0, gl.RGBA, gl.FLOAT, new Float32Array(bytes(places)));
-      context.pass(this.material.glsl + source, [{texture: target}], size, (made) => {
+      context.pass(`${this.material.glsl}\n${source}`, [target], size, (made) => {
         context.sample(made, "places", input, this.material.bind(made));
       });
       const found = context.read(target, size);

@@ -16,19 +16,16 @@ ivec2 height_size_at(int level) {
 }
 
 float height_at(vec2 uv, int level) {
-  // Where targets hold halves only, a height is the sum of two.
 #ifdef FINE
-  vec2 found = read(map_fine_height, around(uv, height_size_at(level), level), 0).rg;
+  return read(map_fine_height, around(uv, height_size_at(level), level), 0).r;
 #else
-  vec2 found = read(map_height, around(uv, level), 0).rg;
+  return read(map_height, around(uv, level), 0).r;
 #endif
-  return found.x + found.y;
 }
 
 // The least and the greatest height of a level.
 vec2 span_at(int level) {
-  vec4 found = texelFetch(map_height_range, ivec3(level, 0, 0), 0);
-  return vec2(found.x + found.y, found.z + found.w);
+  return vec2(number_height_range[2 * level], number_height_range[2 * level + 1]);
 }
 
 // How far a ray moves in uv for each unit of height.

@@ -1,4 +1,4 @@
-/** A material's value at every texel under one light and view: the exact twin of Python's `material.shade`. */
+// A material's value at every texel under one light and view: the exact twin of Python's `material.shade`.
 
 const UNIFORMS = `
 uniform vec3 light, view;
@@ -104,7 +104,7 @@ export function evaluate(context, material, light, view) {
     return texture;
   };
   const draw = (source, targets, inputs = {}, scale = 1) => {
-    context.pass(material.glsl + source, targets.map((texture) => ({ texture })), size.map((side) => scale * side), (made) => {
+    context.pass(`${material.glsl}\n${source}`, targets, size.map((side) => scale * side), (made) => {
       let unit = material.bind(made);
       context.gl.uniform3fv(made.at("light"), light);
       context.gl.uniform3fv(made.at("view"), view);

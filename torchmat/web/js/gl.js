@@ -1,7 +1,9 @@
-/** WebGL2 as the other modules use it: a context that outlives its loss, programs, targets, and passes over all pixels of one. */
+// WebGL2 as the other modules use it: a context that outlives its loss, programs, textures, and passes over all pixels of one.
 
 /** Where pages can draw no material: show pictures instead. */
 export class NoWebGL2 extends Error {}
+
+const FORMATS = { 1: "R", 2: "RG", 3: "RGB", 4: "RGBA" };
 
 const VERTEX = `#version 300 es
 void main() {
@@ -44,9 +46,7 @@ export class Context {
   begin() {
     const { gl } = this;
     const float = !this.half && gl.getExtension("EXT_color_buffer_float") !== null;
-    if (!float && !gl.getExtension("EXT_color_buffer_half_float") && !gl.getExtension("EXT_color_buffer_float")) {
-      throw new NoWebGL2("This browser's WebGL2 has no floating-point targets.");
-    }
+    if (!float) gl.getExtension("EXT_color_buffer_half_float");
     this.caps = {
       float,
       units: gl.getParameter(gl.MAX_TEXTURE_IMAGE_UNITS),
@@ -100,19 +100,19 @@ export class Context {
   }
 
   /**
-   * A texture of `layers` pictures, as targets and for texelFetch; `channels` 1, 2 or 4 of 32 bits, 16 where there are none.
+   * A texture of `layers` pictures of 1 to 4 channels for texelFetch; with 1, 2 or 4 channels a target too.
    * @param {number} levels of half the size each; more than one only for powers of two
+   * @param {boolean} exact whether it has 32 bits even where targets have 16 at most: such a texture may be no target
    */
-  texture(width, height, channels, layers = 1, levels = 1) {
+  texture(width, height, channels, layers = 1, levels = 1, exact = false) {
     const { gl, caps } = this;
     if (Math.max(width, height) > caps.size || layers > caps.layers) {
       const most = `${caps.size} x ${caps.size} texels and ${caps.layers} layers`;
       throw new Error(`The maps must fit this browser's ${most}; one is ${width} x ${height} with ${layers}. Make the material smaller.`);
     }
-    const formats = caps.float ? { 1: gl.R32F, 2: gl.RG32F, 4: gl.RGBA32F } : { 1: gl.R16F, 2: gl.RG16F, 4: gl.RGBA16F };
     const texture = gl.createTexture();
     gl.bindTexture(gl.TEXTURE_2D_ARRAY, texture);
-    gl.texStorage3D(gl.TEXTURE_2D_ARRAY, levels, formats[channels], width, height, layers);
+    gl.texStorage3D(gl.TEXTURE_2D_ARRAY, levels, gl[`${FORMATS[channels]}${caps.float || exact ? 32 : 16}F`], width, height, layers);
     for (const [name, how] of [
       [gl.TEXTURE_MIN_FILTER, levels > 1 ? gl.NEAREST_MIPMAP_NEAREST : gl.NEAREST], [gl.TEXTURE_MAG_FILTER, gl.NEAREST],
       [gl.TEXTURE_WRAP_S, gl.CLAMP_TO_EDGE], [gl.TEXTURE_WRAP_T, gl.CLAMP_TO_EDGE],
@@ -120,24 +120,32 @@ export class Context {
     return texture;
   }
 
+  /** Puts values [row][column][channel] of each layer into a level of a texture, from its first texel on. */
+  upload(texture, layers, [height, width], channels, level = 0) {
+    const { gl } = this;
+    const format = gl[channels === 1 ? "RED" : FORMATS[channels]];
+    gl.bindTexture(gl.TEXTURE_2D_ARRAY, texture);
+    gl.pixelStorei(gl.UNPACK_ALIGNMENT, 4);
+    layers.forEach((values, layer) => {
+      gl.texSubImage3D(gl.TEXTURE_2D_ARRAY, level, 0, 0, layer, width, height, 1, format, gl.FLOAT, values);
+    });
+  }
+
   /**
    * Draws a fragment source over all pixels of targets, row 0 first.
    * @param {string} source after #version; its outputs in order are the targets
-   * @param {{texture: WebGLTexture, layer?: number, level?: number}[]} targets of one size
+   * @param {WebGLTexture[]} targets of one size
    * @param {[number, number]} size width and height
    * @param {(program: {program: WebGLProgram, at: Function}) => void} set sets uniforms and textures
-   * @param {number} column of the target that the first is drawn to
    */
-  pass(source, targets, [width, height], set, column = 0) {
+  pass(source, targets, [width, height], set) {
     const { gl } = this;
     const made = this.program(VERTEX, `#version 300 es\n${source}`);
     gl.bindFramebuffer(gl.FRAMEBUFFER, this.frame);
-    targets.forEach(({ texture, layer = 0, level = 0 }, index) => {
-      gl.framebufferTextureLayer(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0 + index, texture, level, layer);
-    });
+    targets.forEach((texture, index) => gl.framebufferTextureLayer(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0 + index, texture, 0, 0));
     gl.drawBuffers(targets.map((_, index) => gl.COLOR_ATTACHMENT0 + index));
     for (const state of [gl.BLEND, gl.DEPTH_TEST, gl.CULL_FACE, gl.SCISSOR_TEST]) gl.disable(state);
-    gl.viewport(column, 0, width, height);
+    gl.viewport(0, 0, width, height);
     gl.useProgram(made.program);
     set(made);
     gl.bindVertexArray(this.empty);

@@ -1,11 +1,15 @@
-/** A material on the graphics card: its maps as textures, and the GLSL that reads and shades them. */
+// A material on the graphics card: its maps as textures, and the GLSL that reads and shades them.
 
-import { HEADER, TexelMap, levelsOf } from "./maps.js";
+import { TexelMap, levelsOf } from "./maps.js";
 import { Relief } from "./relief.js";
 
 const FORMAT = "torchmat-web";
 const VERSION = 1;
+const HEADER = `precision highp float;
+precision highp int;
+precision highp sampler2DArray;`;
 
+/** A material that shaders can read. */
 export class Material {
   /**
    * Throws an Error for a description of another format, and for maps that are larger than the browser takes.
@@ -30,7 +34,8 @@ export class Material {
     const { context, description } = this;
     this.maps = new Map();
     for (const [name, entry] of this.entries) {
-      this.maps.set(name, new TexelMap(context, entry, this.buffers[name], description.size, description.tiles));
+      const kept = description.relief !== null && (name === "height" || name === "normal");
+      this.maps.set(name, new TexelMap(context, entry, this.buffers[name], description.size, description.tiles, kept));
     }
     this.relief = description.relief ? new Relief(context, description, this.maps) : null;
   }
@@ -42,12 +47,13 @@ export class Material {
 
   /** Every texture by the name of its sampler. */
   get textures() {
-    const found = new Map([...this.maps].map(([name, { texture }]) => [`map_${name}`, texture]));
-    if (!this.relief) return found;
-    found.set("map_height_range", this.relief.range);
-    if (this.relief.normal) found.set("map_normal", this.relief.normal);
-    if (this.relief.fine) found.set("map_fine_height", this.relief.fineHeight);
-    return found;
+    return new Map([...[...this.maps].map(([name, { texture }]) => [`map_${name}`, texture]), ...(this.relief?.textures ?? [])]);
+  }
+
+  /** Numbers by the name of their uniform. */
+  get uniforms() {
+    const found = Object.entries(this.numbers).map(([name, values]) => [`number_${name}`, values]);
+    return this.relief ? [...found, ["number_height_range", this.relief.range]] : found;
   }
 
   /**
@@ -62,7 +68,7 @@ export class Material {
       HEADER,
       ...Object.entries(defines).map(([name, value]) => `#define ${name} ${value}`),
       ...[...this.textures.keys()].map((name) => `uniform highp sampler2DArray ${name};`),
-      ...Object.entries(this.numbers).map(([name, values]) => `uniform float number_${name}[${values.length}];`),
+      ...this.uniforms.map(([name, values]) => `uniform float ${name}[${values.length}];`),
       description.glsl,
     ].join("\n");
   }
@@ -81,7 +87,7 @@ export class Material {
       if (unit >= context.caps.units) throw new Error(`The material must fit this browser's ${context.caps.units} textures at once; it has more.`);
       context.sample(made, name, texture, unit++);
     }
-    for (const [name, values] of Object.entries(this.numbers)) context.gl.uniform1fv(made.at(`number_${name}[0]`), values);
+    for (const [name, values] of this.uniforms) context.gl.uniform1fv(made.at(`${name}[0]`), values);
     return unit;
   }
 
@@ -97,12 +103,7 @@ export class Material {
     this.entries.set(name, entry);
     this.buffers[name] = buffer;
     if (this.context.lost) return;  // it is made anew from these
-    if (map.fits(entry)) {
-      map.update(entry, buffer);
-    } else {
-      map.dispose();
-      this.maps.set(name, new TexelMap(this.context, entry, buffer, this.description.size, this.description.tiles));
-    }
+    map.fill(entry, buffer);
     if (this.relief?.follows(name)) this.relief.update();
   }
 

@@ -1,93 +1,54 @@
-/** What a relief's height says by itself, for each level: normals, the finer height that rays may follow, and its range. */
+// What a relief's height says by itself, at each level: normals, the finer height that rays may follow, and its range.
 
-import { HEADER, sizeAt } from "./maps.js";
+import { padded, sizeAt } from "./maps.js";
+import { doubled, filtered } from "./resample.js";
 
-const READ = `${HEADER}
-uniform highp sampler2DArray height;
-uniform ivec2 size;
-uniform int level;
-uniform bool tiles, half_only;
+const LEAST_UP = Math.cos(84 * Math.PI / 180); // of a normal: what is steeper counts as that steep
 
-ivec2 wrapped(ivec2 texel) {
-  return tiles ? (texel + 4 * size) % size : clamp(texel, ivec2(0), size - 1);
-}
-
-float height_at(ivec2 texel) {
-  vec2 found = texelFetch(height, ivec3(wrapped(texel), 0), level).rg;
-  return found.x + found.y;
-}
-
-// As the sum of two halves, where targets hold no more.
-vec2 split(float whole) {
-  float most = half_only ? unpackHalf2x16(packHalf2x16(vec2(whole))).x : whole;
-  return vec2(most, whole - most);
-}
-`;
-
-/** Normals of Sobel's slopes; a normal map refines them: slopes add up (geometry/normals.py). */
-const NORMAL = `${READ}
-uniform highp sampler2DArray refinement;
-uniform bool refines;
-out vec4 value;
-
-void main() {
-  ivec2 at = ivec2(gl_FragCoord.xy);
-  vec2 slope = vec2(0.0);  // y runs up, rows run down
-  for (int side = -1; side <= 1; side++) {
-    float weight = side == 0 ? 2.0 : 1.0;
-    slope.x += weight * (height_at(at + ivec2(1, side)) - height_at(at + ivec2(-1, side)));
-    slope.y += weight * (height_at(at + ivec2(side, -1)) - height_at(at + ivec2(side, 1)));
-  }
-  slope *= float(size.x) / 8.0;
-  if (refines) {
-    vec3 normal = normalize(texelFetch(refinement, ivec3(at, 0), level).xyz);
-    slope -= normal.xy / max(normal.z, 0.10452846);  // 84 degrees at most
-  }
-  value = vec4(normalize(vec3(-slope, 1.0)), 0.0);
-}`;
-
-/** Twice the texels, cubic between them: Catmull and Rom's, which keeps slopes (models/fine_relief.py). */
-const FINE = `${READ}
-out vec4 value;
-
-vec4 cubic(float t) {
-  return vec4(((-0.5 * t + 1.0) * t - 0.5) * t, (1.5 * t - 2.5) * t * t + 1.0, ((-1.5 * t + 2.0) * t + 0.5) * t, (0.5 * t - 0.5) * t * t);
-}
-
-void main() {
-  vec2 place = (floor(gl_FragCoord.xy) + 0.5) / 2.0 - 0.5, below = floor(place);
-  vec4 across = cubic(place.x - below.x), down = cubic(place.y - below.y);
-  float total = 0.0, low = height_at(ivec2(below)), high = low;
-  for (int y = 0; y < 4; y++) {
-    for (int x = 0; x < 4; x++) {
-      float here = height_at(ivec2(below) + ivec2(x, y) - 1);
-      total += across[x] * down[y] * here;
-      low = min(low, here);
-      high = max(high, here);
+/**
+ * Unit normals of Sobel's slopes, to which those of a normal map are added (geometry/normals.py).
+ * @param {Float32Array} height
+ * @param {Float32Array|null} refinement normals
+ * @returns {Float32Array} 3 a texel
+ */
+export function normalsOf(height, [rows, columns], tiles, refinement) {
+  const found = new Float32Array(3 * rows * columns);
+  const neighbour = (place, size) => (tiles ? (place + size) % size : Math.min(Math.max(place, 0), size - 1));
+  for (let row = 0; row < rows; row += 1) {
+    const [above, here, below] = [row - 1, row, row + 1].map((one) => neighbour(one, rows) * columns);
+    for (let column = 0; column < columns; column += 1) {
+      const left = neighbour(column - 1, columns);
+      const right = neighbour(column + 1, columns);
+      let x = height[above + right] - height[above + left] + 2 * (height[here + right] - height[here + left]);
+      x = (x + height[below + right] - height[below + left]) * columns / 8;
+      let y = height[above + left] - height[below + left] + 2 * (height[above + column] - height[below + column]);
+      y = (y + height[above + right] - height[below + right]) * columns / 8;
+      const at = 3 * (here + column);
+      if (refinement) {
+        const [nx, ny, nz] = [refinement[at], refinement[at + 1], refinement[at + 2]];
+        const up = Math.max(nz, LEAST_UP * (Math.sqrt(nx * nx + ny * ny + nz * nz) || 1));
+        x -= nx / up;
+        y -= ny / up;
+      }
+      const length = Math.sqrt(x * x + y * y + 1);
+      found[at] = -x / length;
+      found[at + 1] = -y / length;
+      found[at + 2] = 1 / length;
     }
   }
-  value = vec4(split(low == high ? low : total), 0.0, 0.0);  // rounding would make a relief of a plain
-}`;
+  return found;
+}
 
-/** The least and the greatest of blocks of 16 x 16: of heights at first, then of what that gave. */
-const RANGE = `${READ}
-uniform bool first;
-uniform int column;
-out vec4 value;
-
-void main() {
-  ivec2 corner = 16 * (ivec2(gl_FragCoord.xy) - ivec2(column, 0)), end = min(corner + 16, size);
-  float low = 1e38, high = -1e38;
-  for (int y = corner.y; y < end.y; y++) {
-    for (int x = corner.x; x < end.x; x++) {
-      vec4 found = texelFetch(height, ivec3(x, y, 0), level);
-      low = min(low, found.x + found.y);
-      high = max(high, first ? found.x + found.y : found.z + found.w);
-    }
+function spanOf(values) {
+  let [low, high] = [Infinity, -Infinity];
+  for (const value of values) {
+    if (value < low) low = value;
+    if (value > high) high = value;
   }
-  value = vec4(split(low), split(high));
-}`;
+  return [low, high];
+}
 
+/** What follows from the height of a material. `range` holds the least and the greatest height of each level, `textures` all else. */
 export class Relief {
   /**
    * @param {import("./gl.js").Context} context
@@ -95,13 +56,15 @@ export class Relief {
    * @param {Map<string, import("./maps.js").TexelMap>} maps the material's
    */
   constructor(context, { size, tiles, relief, derives_normal: derivesNormal }, maps) {
-    Object.assign(this, { context, size, tiles, maps, fine: relief === "fine", derivesNormal });
-    const { levels } = maps.get("height");
-    const [height, width] = size.map((side) => 2 ** Math.ceil(Math.log2(side)));
-    this.levels = levels;
-    this.range = context.texture(levels, 1, 4);
-    this.normal = derivesNormal ? context.texture(width, height, 4, 1, levels) : null;
-    this.fineHeight = this.fine ? context.texture(2 * width, 2 * height, context.caps.float ? 1 : 2, 1, levels) : null;
+    Object.assign(this, { context, size, tiles, maps, derivesNormal, fine: relief === "fine" });
+    this.count = maps.get("height").count;
+    this.range = new Float32Array(2 * this.count);
+    this.textures = new Map();
+    const [height, width] = size.map(padded);
+    if (derivesNormal) this.textures.set("map_normal", context.texture(width, height, 3, 1, this.count));
+    // Two texels at least in every level, where one is as small as a level of the material gets.
+    const side = 2 ** this.count;
+    if (this.fine) this.textures.set("map_fine_height", context.texture(side, side, 1, 1, this.count, true));
     this.update();
   }
 
@@ -111,56 +74,21 @@ export class Relief {
   }
 
   update() {
-    const { maps } = this;
-    const { texture } = maps.get("height");
-    for (let level = 0; level < this.levels; level++) {
+    const { context, tiles, textures } = this;
+    for (let level = 0; level < this.count; level += 1) {
       const size = sizeAt(this.size, level);
-      if (this.normal) {
-        const refinement = maps.get("normal")?.texture;
-        this.pass(NORMAL, texture, { texture: this.normal, level }, size, level, size, (made) => {
-          this.context.gl.uniform1i(made.at("refines"), refinement ? 1 : 0);
-          this.context.sample(made, "refinement", refinement ?? texture, 1);
-        });
+      let height = this.maps.get("height").values[level];
+      const refinement = this.maps.get("normal")?.values[level] ?? null;
+      if (this.derivesNormal) context.upload(textures.get("map_normal"), [normalsOf(height, size, tiles, refinement)], size, 3, level);
+      if (this.fine) {
+        height = filtered(height, size, 1, doubled(size[0], tiles), doubled(size[1], tiles));
+        context.upload(textures.get("map_fine_height"), [height], size.map((side) => 2 * side), 1, level);
       }
-      const finer = size.map((side) => 2 * side);
-      if (this.fineHeight) this.pass(FINE, texture, { texture: this.fineHeight, level }, size, level, finer);
-      if (this.fineHeight) this.findRange(this.fineHeight, finer, level);
-      else this.findRange(texture, size, level);
+      this.range.set(spanOf(height), 2 * level);
     }
-  }
-
-  findRange(texture, size, level) {
-    const { context } = this;
-    let [source, from, at] = [texture, size, level];
-    for (let first = true; ; first = false) {
-      const to = from.map((side) => Math.ceil(side / 16));
-      const done = to[0] === 1 && to[1] === 1;
-      const target = done ? this.range : context.texture(to[1], to[0], 4);
-      const column = done ? level : 0;
-      this.pass(RANGE, source, { texture: target }, from, at, to, (made) => {
-        context.gl.uniform1i(made.at("first"), first ? 1 : 0);
-        context.gl.uniform1i(made.at("column"), column);
-      }, column);
-      if (!first) context.gl.deleteTexture(source);
-      if (done) return;
-      [source, from, at] = [target, to, 0];
-    }
-  }
-
-  pass(source, height, target, size, level, to, set = () => {}, column = 0) {
-    const { context } = this;
-    const { gl } = context;
-    context.pass(source, [target], [to[1], to[0]], (made) => {
-      context.sample(made, "height", height, 0);
-      gl.uniform2i(made.at("size"), size[1], size[0]);
-      gl.uniform1i(made.at("level"), level);
-      gl.uniform1i(made.at("tiles"), this.tiles ? 1 : 0);
-      gl.uniform1i(made.at("half_only"), context.caps.float ? 0 : 1);
-      set(made);
-    }, column);
   }
 
   dispose() {
-    for (const texture of [this.range, this.normal, this.fineHeight]) this.context.gl.deleteTexture(texture);
+    for (const texture of this.textures.values()) this.context.gl.deleteTexture(texture);
   }
 }
