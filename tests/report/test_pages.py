@@ -54,7 +54,13 @@ def test_nothing_is_fetched_and_links_lead_to_the_textures(ptm):
     assert all(image["src"].startswith("data:image/png;base64,") for image in read.of("img"))
     links = [unquote(link["href"]) for link in read.of("a")]
     assert set(links) == {path.name for path in folder.glob("*.exr")} and all((folder / link).is_file() for link in links)
-    assert read.of("link") == [] and read.of("script") == []
+    assert read.of("link") == [] and all("src" not in script for script in read.of("script"))
+
+
+def test_the_material_moves_right_below_the_verdict(ptm):
+    tags = ptm[1].tags
+    place = next(number for number, (_, attributes) in enumerate(tags) if attributes.get("id") == "torchmat-viewer")
+    assert not {"h2", "img", "table"} & {name for name, _ in tags[:place]}
 
 
 def test_every_picture_says_what_it_is_and_keeps_its_shape(ptm):

@@ -38,7 +38,7 @@ _ELSEWHERE = ("comparison", "maps")  # shown on the page by pictures of their ow
 
 def fit_page(
     report: Mapping[str, Any], pictures: Sequence[Path], rows: Sequence[Shown] = (), cards: Sequence[MapCard] = (),
-    parameters: Sequence[Sequence[str]] = (),
+    parameters: Sequence[Sequence[str]] = (), viewer: str = "",
 ) -> str:
     """Return the page of one fit.
 
@@ -48,6 +48,7 @@ def fit_page(
         rows: photographs beside their fit.
         cards: the textures that stand beside the page.
         parameters: name, value and unit of numbers that all texels share.
+        viewer: markup that shows the material, moving (`viewer.viewer_of`); "" shows none.
     """
     plots = {path.stem: plot(path, _CAPTIONS.get(path.stem, path.stem.replace("_", " "))) for path in pictures if path.stem not in _ELSEWHERE}
     found = verdict(report)
@@ -55,7 +56,7 @@ def fit_page(
     choice = report["figures"].get("auto")
     body = [
         paragraph(found.sentence, f"verdict {found.grade}"), listed(found.cautions, "cautions"),
-        section("What was wanted", *_wanted(choice, plots)) if choice else "",
+        viewer, section("What was wanted", *_wanted(choice, plots)) if choice else "",
         section("Target, fit and difference", *_compared(rows)),
         section("How true it is", _figures(report), _plots(plots, "error_by_angle", "error_by_seconds"), _bands(report)),
         section("On objects, and from other directions", _plots(plots, "sphere", "hemisphere", "relief", "oblique")),

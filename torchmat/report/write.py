@@ -21,6 +21,7 @@ from torchmat.report.maps import hemisphere_picture, maps_picture
 from torchmat.report.pictures import write_pictures
 from torchmat.report.samples import Measured, Shown, shown_samples
 from torchmat.report.tables import to_json
+from torchmat.report.viewer import viewer_of
 
 
 def write_fit(
@@ -48,7 +49,8 @@ def write_fit(
             if choice:
                 written.insert(0, decisions_picture(choice, building / "pictures" / "decisions.png"))
             with phase("writing the report"):
-                page = fit_page(report, written, rows, map_cards(result.material, building), parameter_rows(result.material))
+                cards, numbers = map_cards(result.material, building), parameter_rows(result.material)
+                page = fit_page(report, written, rows, cards, numbers, viewer_of(result.material))
                 (building / "report.html").write_text(page, encoding="utf-8")
 
     return save_material(result.material, folder, _provenance(result.report), companions, force)

@@ -11,12 +11,11 @@ from torchmat.models import Material
 from torchmat.models.edit import resized
 from torchmat.rendering.shapes import SHAPES
 from torchmat.web.mesh_data import packed_mesh
-from torchmat.web.page import Still, viewer_element
+from torchmat.web.page import SMALL, Still, viewer_element
 from torchmat.web.payload import describe, has_shader
 from torchmat.web.stills import gallery, object_stills
 
 MOST_TEXELS = 512  # along a side of what a page holds
-SAID_HALF = "Graphics processors without floating-point targets, as some phones have, round to half floats."
 
 
 @dataclass(frozen=True)
@@ -32,7 +31,7 @@ class Shown:
 
 def show(
     material: Material, mesh: Any = "teapot", errors: Mapping[str, Any] | None = None, most: int = MOST_TEXELS, stills: bool = True,
-    options: Mapping[str, Any] | None = None,
+    options: Mapping[str, Any] | None = None, level: int = SMALL,
 ) -> Shown:
     """Return the viewer of a material, as an element for any page.
 
@@ -42,6 +41,7 @@ def show(
         most: texels along a side; a larger material is made smaller, and the page says so.
         stills: whether to make pictures for browsers without WebGL 2; a material without a shader always has them.
         options: of `mount` in `js/viewer.js`.
+        level: of gzip, `page.SMALL` or `page.QUICK`.
 
     Raises RangeError for what is no mesh.
     """
@@ -60,7 +60,7 @@ def show(
         extra["shape"] = None
         buffers |= held
     pictures: list[Still] = object_stills(material, mesh) if stills else []
-    element = viewer_element(found.description, buffers, extra, pictures, options)
+    element = viewer_element(found.description, buffers, extra, pictures, options, level)
     return Shown(material, element, True, tuple(notes), {name: len(one) for name, one in buffers.items()})
 
 

@@ -10,16 +10,19 @@ import { viewPanel } from "./panel_view.js";
 
 /** @param {import("./viewing.js").Viewer} viewer */
 export function buildPanels(viewer) {
+  // Within a longer page, that stands there too; on a phone it would be far to scroll.
   const wide = viewer.root.getBoundingClientRect().width >= 720;
+  const first = { open: wide || !viewer.embedded };
+  const later = { open: wide && !viewer.embedded };
   if (viewer.scene) {
-    addPanel(viewer, "View", viewPanel(viewer));
-    addPanel(viewer, "Light", lightPanel(viewer));
-    addPanel(viewer, "Object", objectPanel(viewer), { open: wide });
+    addPanel(viewer, "View", viewPanel(viewer), first);
+    addPanel(viewer, "Light", lightPanel(viewer), first);
+    addPanel(viewer, "Object", objectPanel(viewer), later);
   }
-  if (viewer.description.maps?.length) addPanel(viewer, "Maps", mapsPanel(viewer), { open: wide });
-  if (viewer.extra.errors) addPanel(viewer, "How true it is", errorsPanel(viewer.extra.errors), { open: wide });
+  if (viewer.description.maps?.length) addPanel(viewer, "Maps", mapsPanel(viewer), later);
+  if (viewer.extra.errors) addPanel(viewer, "How true it is", errorsPanel(viewer.extra.errors), later);
   if (viewer.extra.notes?.length) {
-    addPanel(viewer, "What is shown", element("ul", {}, ...viewer.extra.notes.map((note) => element("li", {}, note))), { open: wide });
+    addPanel(viewer, "What is shown", element("ul", {}, ...viewer.extra.notes.map((note) => element("li", {}, note))), later);
   }
   if (viewer.scene) addPanel(viewer, "Keys and gestures", helpPanel(), { open: false });
 }
