@@ -7,6 +7,7 @@ import math
 
 import numpy as np
 import pytest
+import torch
 from tests.web.pages import smooth
 
 import torchmat as tm
@@ -18,12 +19,16 @@ from torchmat.web.payload import describe
 SIZE = 160
 THREE_QUARTER = (0.7, 0.5, 1.0)
 MATERIALS = {
-    "ptm": ("ptm", {}, False), "distribution": ("distribution", {"lobes": 2, "parts": ["normal", "specular_mask", "fresnel"]}, False),
+    "ptm": ("ptm", {}, False),
+    "distribution": ("distribution", {"lobes": 2, "parts": ["normal", "specular_mask", "fresnel"]}, False),
     "microfacet on a relief": ("microfacet", {"parts": ["normal"]}, True), "shading_map": ("shading_map", {"slices": 8, "brdf": "ggx"}, False),
 }
 VIEWS = (
     {"from": THREE_QUARTER, "lights": [{"toward": (-0.4, 0.5, 0.768)}]},
-    {"from": (-0.4, 0.3, -1.0), "perspective": True, "repeat": 2.5, "lights": [{"toward": (-0.5, 0.4, -0.7), "point": 3.5}, {"toward": (1, 0.2, 0)}]},
+    {
+        "from": (-0.4, 0.3, -1.0), "perspective": True, "repeat": 2.5,
+        "lights": [{"toward": (-0.5, 0.4, -0.7), "point": 3.5}, {"toward": (1, 0.2, 0)}],
+    },
 )
 _SCRIPT = """
 async ({ description, codes, soften, views, size }) => {
@@ -37,7 +42,8 @@ async ({ description, codes, soften, views, size }) => {
   scene.setMesh(makeMesh("teapot"));
   const toward = (direction) => anglesOf(unit(direction), { theta: 0, phi: 0 });
   return views.map((view) => {
-    const lights = view.lights.map((one) => makeLight({ ...toward(one.toward), kind: one.point ? "point" : "directional", distance: one.point ?? 3 }));
+    const kind = (one) => (one.point ? { kind: "point", distance: one.point } : {});
+    const lights = view.lights.map((one) => makeLight({ ...toward(one.toward), ...kind(one) }));
     const camera = new Camera({ ...toward(view.from), perspective: view.perspective ?? false });
     const shown = { camera, lights, environment: "", repeat: view.repeat ?? 1, exposure: 0, background: [0, 0, 0], soften };
     return btoa(Array.from(scene.picture(shown, size, size), (one) => String.fromCharCode(one)).join(""));
@@ -57,12 +63,10 @@ def rendered(material, view):
     """Return the picture of `tm.render` in 8 bits, [rows, columns, 3]."""
     mesh = make_mesh("teapot")
     camera = Camera.framing(mesh.centre, mesh.radius, view["from"], math.radians(30) if view.get("perspective") else None)
-    lights = [
-        Directional(one["toward"]) if "point" not in one else Point(
-            tuple(middle + mesh.radius * one["point"] * part / math.hypot(*one["toward"]) for middle, part in zip(mesh.centre.tolist(), one["toward"], strict=True)),
-            [(3 * mesh.radius) ** 2] * 3)
-        for one in view["lights"]
-    ]
+    lights = []
+    for one in view["lights"]:
+        away = torch.tensor(one["toward"]) / math.hypot(*one["toward"]) * mesh.radius * one.get("point", 1)
+        lights.append(Point(mesh.centre + away, [(3 * mesh.radius) ** 2] * 3) if "point" in one else Directional(one["toward"]))
     picture = tm.render(material, mesh, lights, size=SIZE, repeat=view.get("repeat", 1.0), camera=camera, rays=1)
     return (colour.display(picture) * 255).round().permute(1, 2, 0).numpy().astype(int)
 

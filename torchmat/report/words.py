@@ -7,8 +7,8 @@ import math
 from torchmat.figures import FIGURES, HIGHER, LOWER, PARTS, Figure
 
 __all__ = [
-    "COMPARED", "FIGURES", "GEOMETRIES", "HIGHER", "LOWER", "PARTS", "SOLVERS", "SPLITS", "STOPPED", "Figure", "figure_of", "parameter", "spaced", "stopped",
-    "texture_name", "unit_of",
+    "COMPARED", "FIGURES", "GEOMETRIES", "HIGHER", "LOWER", "PARTS", "SOLVERS", "SPLITS", "STOPPED", "Figure", "figure_of", "parameter", "spaced",
+    "stopped", "texture_name", "unit_of",
 ]
 _BY_TERM = ("polynomial", "residual", "luminance", "harmonic")
 COMPARED = {
