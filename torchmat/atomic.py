@@ -21,6 +21,7 @@ from torchmat.errors import DataError, message
 _EXCHANGE = 2  # RENAME_EXCHANGE of linux/fs.h
 _AT_FDCWD = -100
 _ASIDE = "-old"
+Late = Callable[[Path, Path], None]
 INSTALLED: list[Path] = []  # the folders and files that this process has put in their places, for whoever is stopped
 
 
@@ -74,7 +75,7 @@ def _sync(folder: Path) -> None:
                 os.fsync(stream.fileno())
 
 
-def _install(built: Path, target: Path, backup: bool) -> None:
+def _install(built: Path, target: Path, backup: bool, late: Late) -> None:
     if not target.exists():
         os.rename(built, target)
         return
@@ -87,8 +88,10 @@ def _install(built: Path, target: Path, backup: bool) -> None:
         except OSError:
             os.rename(kept, target)
             raise
+        late(kept, target)
         return
     if _exchange(built, target):
+        late(built, target)
         shutil.rmtree(built, ignore_errors=True)  # the new folder stands; a rest is swept next time
         return
     # Without an exchange there is a moment with neither; the old folder then stands under the hidden name.
@@ -99,6 +102,7 @@ def _install(built: Path, target: Path, backup: bool) -> None:
     except OSError:
         os.rename(aside, target)
         raise
+    late(aside, target)
     shutil.rmtree(aside, ignore_errors=True)
 
 
@@ -145,11 +149,14 @@ def refuse_foreign(
 
 
 @contextmanager
-def building(target: str | Path, durable: bool = True, backup: bool = False) -> Iterator[Path]:
+def building(
+    target: str | Path, durable: bool = True, backup: bool = False, late: Late = lambda old, new: None
+) -> Iterator[Path]:
     """Yield an empty folder beside `target`; swap it in as `target` when the block ends without an error.
 
     `durable` flushes the files first; what is not durable is no result either (`INSTALLED`). With `backup` what stood
-    there stays, as `backup_name` calls it. Raises Unwritable, which names the folder, when it cannot be made; whatever the
+    there stays, as `backup_name` calls it. `late` is called with the old folder and the new one once they are swapped,
+    before the old one goes. Raises Unwritable, which names the folder, when it cannot be made; whatever the
     block raises passes through after the half-built folder is removed and the old one left as it was.
     """
     try:
@@ -165,7 +172,7 @@ def building(target: str | Path, durable: bool = True, backup: bool = False) -> 
         yield built
         if durable:
             _sync(built)
-        _install(built, target, backup)
+        _install(built, target, backup, late)
         if durable:
             INSTALLED.append(target)
     except OSError as error:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -14,7 +13,8 @@ from torchmat.errors import RangeError, message
 from torchmat.material_io.folder import MANIFEST, check_target, manifest_of, write_texture
 from torchmat.material_io.read_folder import load_material, read_manifest
 from torchmat.models import Material
-from torchmat.written import DIGESTS, EDITED, changed_files, digest_of, files_below, write_table
+from torchmat.swap import swapping
+from torchmat.written import DIGESTS, EDITED, changed_files, digest_of, write_table
 
 EDITS = "edits"
 
@@ -60,11 +60,7 @@ def change_material(
         painted = changed_files(source / MANIFEST, edits=False)
         aside = bool(gone) and (painted is None or not gone.isdisjoint(painted))
     backup = atomic.backup_name(target) if aside else None
-    with atomic.building(target, backup=aside) as building:
-        for name in files_below(source):
-            if name not in gone:
-                (building / name).parent.mkdir(parents=True, exist_ok=True)
-                shutil.copy2(source / name, building / name)
+    with swapping(source, gone, target, backup=aside) as building:
         new = [write_texture(building, texture) for texture in after.textures() if texture.spec.name not in kept]
         entries = [entry for entry in old if entry["map"] in kept] + new
         order = [spec.name for spec in after.specs()]

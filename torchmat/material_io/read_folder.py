@@ -125,6 +125,24 @@ def _read_numbers(manifest: dict[str, Any], stored: dict[str, StoredAs]) -> dict
     return maps
 
 
+def reread(folder: Path, manifest: dict[str, Any], material: Material, name: str) -> Material:
+    """Return a material of a folder with one of its maps read again, and nothing else: the manifest is that of `material`.
+
+    Raises DataError, naming the file, when it cannot be used.
+    """
+    entries = [entry for entry in manifest["textures"] if entry["map"] == name]
+    stored = {key: _stored_as(entry) for key, entry in manifest.get("stored", {}).items() if key == name}
+    try:
+        maps = _read_maps(folder, {**manifest, "textures": entries}, stored)
+        if stored and material.stored.get(name) != stored[name]:  # it was painted in full size, and is stored so from now on
+            material = material.stored_at(stored)
+        return material.with_maps(**{key: value.to(material.dtype) for key, value in maps.items()})
+    except DataError:
+        raise
+    except TorchmatError as error:
+        raise DataError(f"{_culprit(folder, manifest, error)}: {error}") from error
+
+
 def load_material(path: str | Path) -> Material:
     """Return the material of a folder or file, exactly as its textures hold it.
 
