@@ -14,9 +14,10 @@ from torchmat.material_io.read_folder import load_material, read_manifest, rerea
 from torchmat.models import Material
 from torchmat.models.blend import blend
 from torchmat.studio.place import check_links
+from torchmat.studio.quick import quick_map
 from torchmat.studio.textures import textures_of
 from torchmat.swap import signature_of
-from torchmat.web.payload import describe, map_of
+from torchmat.web.payload import TRANSFER, describe, map_of
 
 Map = tuple[dict[str, Any], bytes]
 
@@ -32,6 +33,8 @@ class Session:
         self._others = list(others)
         self._material: Material | None = None
         self._manifest: dict[str, Any] = {}
+        self._entries: dict[str, dict[str, Any]] = {}  # of the maps as they were last read
+        self._stale: set[str] = set()  # maps that were saved since the material was read
         self._blended: dict[int, Material] = {}
 
     @property
@@ -50,11 +53,14 @@ class Session:
         manifest = read_manifest(self.folder)
         check_links(self.folder, textures_of(manifest).values())
         self._material, self._manifest = load_material(self.folder), manifest
-        return self.shown(self._material)
+        self._stale.clear()
+        found = self.shown(self._material)
+        self._entries = {entry["name"]: entry for entry in found["description"]["maps"]}
+        return found
 
     def now(self) -> dict[str, Any]:
         """Return what a page needs of the material as it was last read."""
-        return self.shown(self.material)
+        return self.shown(self.current())
 
     def shown(self, material: Material) -> dict[str, Any]:
         """Return what a page needs of a material."""
@@ -69,22 +75,45 @@ class Session:
         found: dict[str, Map] = {}
         failed: dict[str, str] = {}
         for name in names:
-            files = [entry["file"] for entry in self._manifest.get("textures", ()) if entry["map"] == name]
+            textures = [entry for entry in self._manifest.get("textures", ()) if entry["map"] == name]
+            files = [entry["file"] for entry in textures]
             try:
                 check_links(self.folder, files)
                 before = [signature_of(self.folder / file) for file in files]
-                material = reread(self.folder, self._manifest, self.material, name)
+                entry = self._entries.get(name)
+                quick = quick_map(self.folder, textures, entry) if entry is not None else None
+                if quick is None:
+                    self._material = reread(self.folder, self._manifest, self.material, name)
                 if before != [signature_of(self.folder / file) for file in files]:
                     raise DataError(message(str(self.folder / files[0]), "the texture", "be whole", "it is being written"))
-                found[name] = map_of(material, name)
-                self._material = material
+                found |= self._followed(name, quick)
             except TorchmatError as error:
                 failed[name] = str(error)
         return {"maps": found, "failed": failed}
 
+    def _followed(self, name: str, quick: Map | None) -> dict[str, Map]:
+        """Return a map that was read, and those that follow from it; with `quick` it is read for edits when one needs it."""
+        if quick is None:
+            self._stale.discard(name)
+            found = {name: map_of(self.material, name)}
+        else:
+            self._stale.add(name)
+            found = {name: quick}
+        if TRANSFER.name in self._entries and name in ("height", self.material.diffuse_map):
+            found[TRANSFER.name] = map_of(self.current(), TRANSFER.name)
+        self._entries |= {key: entry for key, (entry, _) in found.items()}
+        return found
+
+    def current(self) -> Material:
+        """Return the material with all that was saved since it was read."""
+        for name in sorted(self._stale):
+            self._material = reread(self.folder, self._manifest, self.material, name)
+            self._stale.discard(name)
+        return self.material
+
     def preview(self, edits: Mapping[str, Mapping[str, Any]], drop: Sequence[str] = ()) -> dict[str, Any]:
         """Return what the material looks like after edits (`create.edits.EDITS`), without writing anything."""
-        return self.shown(self._edited(self.material, edits, drop))
+        return self.shown(self._edited(self.current(), edits, drop))
 
     def _edited(self, material: Material, edits: Mapping[str, Mapping[str, Any]], drop: Sequence[str]) -> Material:
         check_known_keys("studio", edits, [name for name in EDITS if name != "without"])
@@ -114,7 +143,7 @@ class Session:
 
     def blended(self, other: int, weight: float) -> dict[str, Any]:
         """Return what the material looks like on its way, `weight` (0 to 1), to another one of `others`."""
-        return self.shown(blend(self.material, self._other(other), weight))
+        return self.shown(blend(self.current(), self._other(other), weight))
 
     def apply_blend(self, other: int, weight: float) -> dict[str, Any]:
         """Write the blend into the folder."""
