@@ -55,10 +55,13 @@ def change_material(
         raise RangeError(message(str(source), "the changed material", "keep its model and size", fact, step))
     kept = _unchanged(before, after)
     old = [entry for entry in manifest["textures"] if entry["map"] in before.maps]
+    ours = manifest.get(DIGESTS, {})
     gone = {entry["file"] for entry in old if entry["map"] not in kept}
+    fresh = {texture.file for texture in after.textures() if texture.spec.name not in kept}
+    gone = {name for name in gone if name in ours} | {name for name in fresh if (source / name).exists()}
     if out is None:
         painted = changed_files(source / MANIFEST, edits=False)
-        aside = bool(gone) and (painted is None or not gone.isdisjoint(painted))
+        aside = bool(gone) and (painted is None or not gone.isdisjoint(painted) or not gone <= ours.keys())
     backup = atomic.backup_name(target) if aside else None
     with swapping(source, gone, target, backup=aside) as building:
         new = [write_texture(building, texture) for texture in after.textures() if texture.spec.name not in kept]
@@ -67,7 +70,7 @@ def change_material(
         entries.sort(key=lambda entry: order.index(entry["map"]))
         written = [entry["file"] for entry in new]
         table = _manifest(manifest, after, entries, kept, record, [*written, *gone])
-        digests = {**manifest.get(DIGESTS, {}), **{name: digest_of(building / name) for name in written}}
+        digests = {**ours, **{name: digest_of(building / name) for name in written}}
         digests = {name: digest for name, digest in digests.items() if (building / name).is_file()}
         write_table(building / MANIFEST, table, digests)
     others = {name for name in (*before.maps, *after.maps) if name not in kept}

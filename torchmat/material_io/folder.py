@@ -56,9 +56,8 @@ def _texture_entry(spec: MapSpec, file: str, codes: Codes) -> dict[str, Any]:
 def write_texture(folder: Path, texture: StoredTexture) -> dict[str, Any]:
     """Write one texture into a folder; return its entry in the manifest."""
     codes = texture.codes()
-    file = texture.name + (".png" if texture.spec.index else STORAGES[texture.storage].suffix)
-    write_image(folder / file, codes.pixels)
-    return _texture_entry(texture.spec, file, codes)
+    write_image(folder / texture.file, codes.pixels)
+    return _texture_entry(texture.spec, texture.file, codes)
 
 
 def manifest_of(

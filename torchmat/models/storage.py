@@ -192,6 +192,11 @@ class StoredTexture(NamedTuple):
         return self.spec.meaning
 
     @property
+    def file(self) -> str:
+        """What a material folder calls its file."""
+        return self.name + (".png" if self.spec.index else STORAGES[self.storage].suffix)
+
+    @property
     def range(self) -> tuple[float | None, float | None]:
         """The least and the largest value that the map may have; None is no bound."""
         return self.spec.low, self.spec.high

@@ -62,7 +62,8 @@ class Pages:
         """Return the page itself."""
         from torchmat.studio.page import page_text
 
-        return Response(page_text(), media_type="text/html; charset=utf-8")
+        place = self._live.place
+        return Response(page_text(place.folder.name, str(place.folder)), media_type="text/html; charset=utf-8")
 
     async def asset(self, request: Request) -> Response:
         """Return one of the files that the page consists of."""
@@ -90,8 +91,9 @@ class Pages:
         data = self._live.shown.buffers.get(name)
         if data is None:
             return _missing(request)
-        version = str(self._live.shown.versions[name])
-        return Response(data, media_type="application/octet-stream", headers={"x-version": version})
+        # The entry goes with its bytes: a save in between must not part them.
+        head = {"version": self._live.shown.versions[name], "entry": self._live.shown.entry(name)}
+        return Response(data, media_type="application/octet-stream", headers={"x-map": json.dumps(head)})
 
     async def picture(self, request: Request) -> Response:
         """Return one picture of those that were last compared, as RGB bytes."""
@@ -128,6 +130,9 @@ class Pages:
         except TorchmatError as error:
             LOG.warning("refused a wish: %s", ascii(str(error))[1:-1][:300])
             answer["error"] = str(error)
+        except Exception as error:  # a full disk, say: the page hears of it, and the next wish is answered
+            LOG.error("a wish failed: %s", ascii(f"{type(error).__name__}: {error}")[1:-1][:300])
+            answer["error"] = f"studio: it could not be done; {type(error).__name__}: {error}. The material stays as it was."
         page.put_nowait(answer)
 
 

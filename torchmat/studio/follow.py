@@ -24,6 +24,7 @@ class Follower:
     def __init__(self, live: Live, watch: Watch) -> None:
         self._live, self._watch = live, watch
         self._waiting: dict[str, int] = {}  # maps to read, and how often that was tried
+        self._unsure: set[str] = set()  # maps that are damaged, or half written
         self._all = False  # whether the manifest was saved
         self._saved: list[str] = []  # files that the history has not seen yet
         self._wake, self._kept = asyncio.Event(), asyncio.Event()
@@ -62,7 +63,7 @@ class Follower:
             tries, self._waiting = self._waiting, {}
             if tries:
                 await self._read_maps(tries)
-            if self._saved:
+            if self._saved and not self._unsure:  # half a file is no state to go back to
                 self._kept.set()
 
     async def _read_maps(self, tries: dict[str, int]) -> None:
@@ -72,10 +73,12 @@ class Follower:
             self._live.say("material", "error", str(error))
             return
         self._live.put_maps(answer["maps"])
+        self._unsure -= set(tries)
         for name, text in answer["failed"].items():
             if tries[name] + 1 >= TRIES:
                 self._live.say(name, "error", f"{text} The last good one is shown.")
                 continue
+            self._unsure.add(name)
             asyncio.get_running_loop().call_later(QUIET, self._again, name, tries[name] + 1)
 
     def _again(self, name: str, tries: int) -> None:

@@ -77,10 +77,6 @@ class History:
         self._write()
         return True
 
-    def unseen(self) -> bool:
-        """Return whether the folder is in another state than the one of the list that it was last seen in."""
-        return not self.states or self._now() != dict(self.states[self.at].files)
-
     def _now(self) -> dict[str, str]:
         kept = {name: self._keep(name) for name in self._names()}
         return {name: digest for name, digest in kept.items() if digest}

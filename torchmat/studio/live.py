@@ -84,14 +84,14 @@ class Live:
 
     async def open(self) -> None:
         """Show what was kept of the last session, if the files are still those, read the folder, and follow it."""
+        self.watch = Watch(self.place.folder, self.files)
         found = await asyncio.to_thread(kept, self.place.own, self.place.folder)
         if found is not None:
             self.shown.put(*found)
             self.ready.set()
-        self.watch = Watch(self.place.folder, self.files)
+        await self.remember("opened")
         await self.reload()
         self.start(Follower(self, self.watch).run())
-        await self.remember("opened")
 
     async def close(self) -> None:
         """End everything that was started."""
@@ -110,7 +110,7 @@ class Live:
         for name, (entry, data) in maps.items():
             self.say(name, "error", "")
             if self.shown.put_map(name, entry, data):
-                self.tell("map", name=name, version=self.shown.versions[name], entry=entry)
+                self.tell("map", name=name, version=self.shown.versions[name])
 
     def noted(self, answer: Any) -> Any:
         """Say what a call warned of, and return its value."""
@@ -147,7 +147,7 @@ class Live:
             self.tell("material")
         else:
             for name in changed:
-                self.tell("map", name=name, version=self.shown.versions[name], entry=self.shown.entry(name))
+                self.tell("map", name=name, version=self.shown.versions[name])
         self.ready.set()
 
     def _keep(self) -> None:

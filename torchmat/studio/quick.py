@@ -37,6 +37,8 @@ def quick_map(
     parts = []
     for one in textures:
         path = folder / one["file"]
+        if not path.is_file():
+            return None
         pixels = read_image(path)
         shape = (one["height"], one["width"], one["channels"])
         if pixels.shape != shape or _TYPES[pixels.dtype.name] != before["type"] or not _is_coded(one, pixels):

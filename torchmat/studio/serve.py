@@ -133,21 +133,28 @@ def _serve(place, worker, listening: socket.socket, port: int, token: str, btf, 
     import uvicorn
 
     from torchmat.studio.app import application
-    from torchmat.studio.guard import MOST_MESSAGE
     from torchmat.studio.live import Live
 
     _log_to_stderr()
     live = Live(place, worker, others, btf)
-    config = uvicorn.Config(
-        application(live, port, token), log_config=None, access_log=False, server_header=False, date_header=False,
-        proxy_headers=False, http="h11", ws="websockets-sansio", ws_max_size=MOST_MESSAGE, ws_max_queue=4, ws_per_message_deflate=False,
-        h11_max_incomplete_event_size=16_384, timeout_keep_alive=600, timeout_graceful_shutdown=1, limit_concurrency=200,
-        lifespan="on",
-    )
-    server = uvicorn.Server(config)
+    server = uvicorn.Server(config_of(application(live, port, token)))
     live.failed = lambda: setattr(server, "should_exit", True)
     server.run(sockets=[listening])
     return live.failure
+
+
+def config_of(app):
+    """Return how uvicorn serves a studio: bounded in all that comes in, and silent but for refusals."""
+    import uvicorn
+
+    from torchmat.studio.guard import MOST_MESSAGE
+
+    return uvicorn.Config(
+        app, log_config=None, access_log=False, server_header=False, date_header=False, proxy_headers=False, http="h11",
+        ws="websockets-sansio", ws_max_size=MOST_MESSAGE, ws_max_queue=4, ws_per_message_deflate=False,
+        h11_max_incomplete_event_size=16_384, timeout_keep_alive=600, timeout_graceful_shutdown=1, limit_concurrency=200,
+        lifespan="on",
+    )
 
 
 def _log_to_stderr() -> None:

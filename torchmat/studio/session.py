@@ -51,7 +51,7 @@ class Session:
         Raises DataError when a file cannot be used; the material then stays what it was.
         """
         manifest = read_manifest(self.folder)
-        check_links(self.folder, textures_of(manifest).values())
+        check_links(self.folder, list(textures_of(manifest).values()))
         self._material, self._manifest = load_material(self.folder), manifest
         self._stale.clear()
         found = self.shown(self._material)

@@ -94,8 +94,7 @@ class Wishes:
         self._live.check_writable()
         history = self._live.history
         assert history is not None
-        if history.unseen():  # a save that was not looked at yet is what is undone
-            await self._live.remember("unseen changes")
+        await self._live.remember("unseen changes")  # a save that was not looked at yet is what is undone
         place = history.at + by
         if not 0 <= place < len(history.states):
             fact = f"this is the {'first' if by < 0 else 'last'} of {len(history.states)} states"
