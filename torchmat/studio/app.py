@@ -32,7 +32,8 @@ def application(live: Live, port: int, token: str) -> Guard:
     pages = Pages(live)
     routes = [
         Route("/", pages.page), Route("/js/{name}", pages.asset), Route("/material.json", pages.material),
-        Route("/map/{name}", pages.map), Route("/picture/{name}", pages.picture), WebSocketRoute("/live", pages.live),
+        Route("/map/{name}", pages.map), Route("/picture/{name}", pages.picture), Route("/favicon.ico", pages.no_icon),
+        WebSocketRoute("/live", pages.live),
     ]
 
     @contextlib.asynccontextmanager
@@ -64,6 +65,10 @@ class Pages:
 
         place = self._live.place
         return Response(page_text(place.folder.name, str(place.folder)), media_type="text/html; charset=utf-8")
+
+    async def no_icon(self, request: Request) -> Response:
+        """Return nothing to browsers that look for an icon."""
+        return Response(status_code=204)
 
     async def asset(self, request: Request) -> Response:
         """Return one of the files that the page consists of."""

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 from torchmat.errors import TorchmatError
 from torchmat.studio.place import MANIFEST
-from torchmat.studio.textures import manifest_in, maps_of, textures_of
+from torchmat.studio.textures import files_of, manifest_in, maps_of, textures_of
 from torchmat.studio.watch import QUIET, TRIES, Watch
 
 if TYPE_CHECKING:
@@ -24,7 +24,7 @@ class Follower:
     def __init__(self, live: Live, watch: Watch) -> None:
         self._live, self._watch = live, watch
         self._waiting: dict[str, int] = {}  # maps to read, and how often that was tried
-        self._unsure: set[str] = set()  # maps that are damaged, or half written
+        self._unsure: set[str] = set()  # maps that are looked at again soon
         self._all = False  # whether the manifest was saved
         self._saved: list[str] = []  # files that the history has not seen yet
         self._wake, self._kept = asyncio.Event(), asyncio.Event()
@@ -63,7 +63,7 @@ class Follower:
             tries, self._waiting = self._waiting, {}
             if tries:
                 await self._read_maps(tries)
-            if self._saved and not self._unsure:  # half a file is no state to go back to
+            if self._saved and not self._unsure:
                 self._kept.set()
 
     async def _read_maps(self, tries: dict[str, int]) -> None:
@@ -74,12 +74,20 @@ class Follower:
             return
         self._live.put_maps(answer["maps"])
         self._unsure -= set(tries)
+        self._mark(tries, answer["failed"])
         for name, text in answer["failed"].items():
             if tries[name] + 1 >= TRIES:
                 self._live.say(name, "error", f"{text} The last good one is shown.")
                 continue
             self._unsure.add(name)
             asyncio.get_running_loop().call_later(QUIET, self._again, name, tries[name] + 1)
+
+    def _mark(self, read: Iterable[str], failed: Iterable[str]) -> None:
+        """Let the history keep the last good file in the place of a damaged one: that is no state to go back to."""
+        history, manifest = self._live.history, manifest_in(self._live.place.folder)
+        if history is not None:
+            history.damaged -= set(files_of(manifest, read))
+            history.damaged |= set(files_of(manifest, failed))
 
     def _again(self, name: str, tries: int) -> None:
         if name not in self._waiting:  # else it was saved again meanwhile

@@ -48,6 +48,7 @@ class History:
         self._known: dict[str, tuple[Signature, str]] = {}  # digests by signature: only what changed is read
         self._sizes: dict[str, int] = {}
         (own / _CONTENT).mkdir(exist_ok=True)
+        self.damaged: set[str] = set()  # files of which a state keeps what they were before
         self.states, self.at = self._read()
 
     def _read(self) -> tuple[list[State], int]:
@@ -78,7 +79,8 @@ class History:
         return True
 
     def _now(self) -> dict[str, str]:
-        kept = {name: self._keep(name) for name in self._names()}
+        before = self.states[self.at].files if self.states else {}
+        kept = {name: before[name] if name in self.damaged & before.keys() else self._keep(name) for name in self._names()}
         return {name: digest for name, digest in kept.items() if digest}
 
     def _keep(self, name: str) -> str:

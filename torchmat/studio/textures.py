@@ -35,6 +35,12 @@ def maps_of(manifest: Mapping[str, Any], files: Iterable[str]) -> list[str]:
     return list(dict.fromkeys(entry["map"] for entry in _entries(manifest) if entry["file"] in files))
 
 
+def files_of(manifest: Mapping[str, Any], maps: Iterable[str]) -> list[str]:
+    """Return the files of some maps."""
+    maps = set(maps)
+    return [entry["file"] for entry in _entries(manifest) if entry["map"] in maps]
+
+
 def _entries(manifest: Mapping[str, Any]) -> list[Mapping[str, Any]]:
     entries = manifest.get("textures", ())
     good = isinstance(entries, list) and all(isinstance(one, dict) and {"map", "file"} <= one.keys() for one in entries)
