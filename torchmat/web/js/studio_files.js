@@ -52,7 +52,8 @@ export function filesPanel(live) {
         type: "checkbox", checked: !still.includes(texture), "aria-label": `Show saves of ${texture} at once`,
         onchange: (event) => ask("follow", { texture, on: event.target.checked }),
       });
-      return element("div", { class: "tms-file" }, element("span", {}, texture.replaceAll("_", " ")), chosen, element("label", {}, follow, "update"));
+      const title = element("span", {}, texture.replaceAll("_", " "));
+      return element("div", { class: "tms-file" }, title, chosen, element("label", {}, follow, "update"));
     }));
   }
   return element("div", {}, list, said);
