@@ -52,7 +52,7 @@ def viewer_element(
     Args:
         description: of the material (`payload.describe`).
         buffers: the codes of its maps by name, and of a mesh (`mesh_data.packed_mesh`).
-        extra: what stands beside it: "mesh", "errors", "notes", "soften", "shape".
+        extra: what stands beside it: "mesh", "errors", "notes", "shape".
         stills: pictures for browsers that cannot draw it.
         options: of `mount` in `js/viewer.js`.
         level: of gzip, SMALL or QUICK.

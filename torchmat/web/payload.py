@@ -46,7 +46,7 @@ def describe(material: Material) -> Payload:
     normal = surface.maps["normal"] if "normal" in surface.maps else None
     description = {
         "format": FORMAT, "version": VERSION, "model": material.name, "size": list(material.size), "whole_size": list(material.whole_size),
-        "tiles": material.tiles, "relief": material.relief if material.has_relief else None,
+        "tiles": material.tiles, "bright_at_horizon": material.bright_at_horizon, "relief": material.relief if material.has_relief else None,
         "derives_normal": normal is not None and normal is not material.maps.get("normal"),
         "defines": defines_of(material), "glsl": source,
         "numbers": {spec.name: values.tolist() for spec, values in material.numbers() if spec.constant},

@@ -46,7 +46,7 @@ def show(
     Raises RangeError for what is no mesh.
     """
     material, notes = _small_enough(material, most)
-    extra: dict[str, Any] = {"notes": notes, "soften": material.bright_at_horizon, "shape": mesh if isinstance(mesh, str) else None}
+    extra: dict[str, Any] = {"notes": notes, "shape": mesh if isinstance(mesh, str) else None}
     if errors:
         extra["errors"] = dict(errors)
     if not has_shader(material):

@@ -1,12 +1,16 @@
 // What is shown where the material's shader cannot run: pictures that were made with the page.
 
 import { element } from "./dom.js";
+import { NoWebGL2 } from "./gl.js";
 
 /** Of a model whose value no shader computes. */
 export class NoShader extends Error {}
 
-const NO_SHADER = "This kind of material has no shader: these pictures were made with the page.";
-const NO_WEBGL = "This browser draws no WebGL 2, in which the material moves. These pictures were made with the page.";
+function said(error) {
+  if (error instanceof NoShader) return "This kind of material has no shader.";
+  if (error instanceof NoWebGL2) return "This browser draws no WebGL 2, in which the material moves.";
+  return `The material could not be drawn here. ${error.message}`;
+}
 
 /**
  * @param {HTMLElement} stage where the picture would be
@@ -15,7 +19,7 @@ const NO_WEBGL = "This browser draws no WebGL 2, in which the material moves. Th
  */
 export function showPictures(stage, error, stills) {
   const pictured = stills.filter((still) => still.childElementCount > 0);
-  const said = error instanceof NoShader ? NO_SHADER : pictured.length ? NO_WEBGL : `${NO_WEBGL.split(". ")[0]}.`;
+  const more = pictured.length ? " These pictures were made with the page." : "";
   stage.classList.add("tmv-still");
-  stage.replaceChildren(element("p", { role: "note" }, said), ...pictured);
+  stage.replaceChildren(element("p", { role: "note" }, said(error) + more), ...pictured);
 }

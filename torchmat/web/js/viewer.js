@@ -2,9 +2,8 @@
 
 import { element } from "./dom.js";
 import { readEmbedded } from "./embedded.js";
-import { NoWebGL2 } from "./gl.js";
 import { buildPanels } from "./panels.js";
-import { NoShader, showPictures } from "./pictures.js";
+import { NoShader } from "./pictures.js";
 import { Viewer } from "./viewing.js";
 
 /**
@@ -20,20 +19,21 @@ export async function mount(root, options = {}) {
   root.viewer = viewer;
   root.classList.add("tmv");
   const canvas = element("canvas", { tabindex: 0, role: "application", "aria-roledescription": "interactive picture" });
-  const stage = element("div", { class: "tmv-stage" }, canvas);
+  viewer.stage = element("div", { class: "tmv-stage" }, canvas);
   viewer.side = element("div", { class: "tmv-side" });
   viewer.status = element("div", { class: "tmv-unseen", role: "status" });
-  const stills = [...root.querySelectorAll(".tmv-stills")];
+  viewer.stills = [...root.querySelectorAll(".tmv-stills")];
   root.classList.toggle("tmv-within", viewer.embedded);
-  root.replaceChildren(element("div", { class: "tmv-body" }, stage, viewer.side), viewer.status);
+  root.replaceChildren(element("div", { class: "tmv-body" }, viewer.stage, viewer.side), viewer.status);
   try {
     if (!viewer.description.glsl) throw new NoShader();
     viewer.begin(canvas);
   } catch (error) {
-    if (!(error instanceof NoWebGL2 || error instanceof NoShader)) throw error;
-    showPictures(stage, error, stills);
+    viewer.scene = null;
+    viewer.fail(error);
   }
   buildPanels(viewer);
+  viewer.name();
   viewer.redraw();
   if (options.intro && viewer.scene) viewer.introduce();
   return viewer;

@@ -1,13 +1,14 @@
 // One viewer: its material, scene and state, and what may be done with them.
 
-import { Camera, normalised, orbited } from "./camera.js";
+import { Acts } from "./acts.js";
+import { Camera } from "./camera.js";
 import { attachControls } from "./controls.js";
 import { openContext } from "./gl.js";
-import { MOST_LIGHTS, makeLight } from "./lights.js";
 import { Material } from "./material.js";
 import { SHAPES, makeMesh, storedMesh } from "./meshes.js";
 import { Pace } from "./pace.js";
 import { addPanel } from "./panel.js";
+import { showPictures } from "./pictures.js";
 import { Scene } from "./scene.js";
 import { advance, startState } from "./state.js";
 import { shownColour } from "./colours.js";
@@ -16,8 +17,9 @@ const MOST_PIXELS_PER_POINT = 2;
 const INTRO = 6000; // milliseconds that the light goes round before anything was touched
 
 /** One viewer; `mount` makes it. */
-export class Viewer {
+export class Viewer extends Acts {
   constructor(root, data, options) {
+    super();
     Object.assign(this, { root, description: data.description, buffers: data.buffers, extra: data.extra ?? {}, live: options.live ?? false });
     this.embedded = options.embedded ?? false;
     this.listeners = new Map();
@@ -25,6 +27,7 @@ export class Viewer {
     this.cost = 0;
     this.wanted = 0;
     this.sweptAt = 0;
+    this.hidden = false;
     this.start = options.mesh ?? this.extra.shape ?? (this.extra.mesh ? this.extra.mesh.name : "teapot");
     this.state = startState(this.start);
     this.scene = null;
@@ -42,6 +45,11 @@ export class Viewer {
     this.stopControls = attachControls(canvas, this);
     this.resized = new ResizeObserver(() => this.redraw());
     this.resized.observe(canvas.parentElement);
+    this.watched = new IntersectionObserver(([entry]) => {
+      this.hidden = !entry.isIntersecting;
+      if (!this.hidden) this.redraw();
+    });
+    this.watched.observe(canvas);
     this.scheme = matchMedia("(prefers-color-scheme: dark)");
     this.recoloured = () => this.redraw();
     this.scheme.addEventListener("change", this.recoloured);
@@ -88,7 +96,15 @@ export class Viewer {
   change(act) {
     act(this.state);
     this.emit("change", this.state);
+    this.name();
     this.redraw();
+  }
+
+  /** The picture's name, for those who do not see it. */
+  name() {
+    if (this.named === this.state.mesh) return;
+    this.named = this.state.mesh;
+    this.canvas?.setAttribute("aria-label", `The material on: ${this.named}. Arrow keys turn it, with shift they move the light.`);
   }
 
   /** Draw at the next frame. */
@@ -100,7 +116,7 @@ export class Viewer {
 
   frame(now) {
     this.wanted = 0;
-    if (this.gone || this.context.gl.isContextLost()) return;
+    if (this.gone || this.hidden || this.context.gl.isContextLost()) return;
     if (this.pace.busy()) {
       this.redraw(false);
       return;
@@ -113,11 +129,23 @@ export class Viewer {
       this.pace.stir();
     }
     this.sweptAt = sweeping ? now : 0;
-    this.draw();
+    try {
+      this.draw();
+    } catch (error) {
+      this.gone = true;
+      this.fail(error);
+      return;
+    }
     this.cost = performance.now() - begun;
     this.frames += 1;
     this.emit("frame", this.cost);
     if (sweeping) this.redraw(false);
+  }
+
+  /** What cannot be drawn is said, with pictures in its place. */
+  fail(error) {
+    showPictures(this.stage, error, this.stills);
+    this.emit("failed", error);
   }
 
   draw() {
@@ -137,80 +165,14 @@ export class Viewer {
     return {
       camera: new Camera(state.view), lights: state.lights, environment: state.environment, repeat: state.repeat,
       exposure: state.exposure, background: shownColour(state.background, this.canvas),
-      soften: Boolean(this.description.soften ?? this.extra.soften),
+      soften: Boolean(this.description.bright_at_horizon),
     };
-  }
-
-  /** Turn the camera round the object, by degrees to the right and up. */
-  turn(right, up) {
-    this.change((state) => Object.assign(state.view, normalised(orbited(state.view, right, up))));
-  }
-
-  /** Move the chosen light; `away` is a factor on the distance of a point light. */
-  moveLight(right, up, away = 1) {
-    this.change((state) => {
-      const light = state.lights[state.active];
-      Object.assign(light, normalised(orbited(light, right, up)));
-      light.distance = Math.min(10, Math.max(1.1, light.distance * away));
-    });
-  }
-
-  zoom(factor) {
-    this.change((state) => {
-      const camera = new Camera(state.view);
-      camera.zoomBy(factor);
-      state.view.zoom = camera.zoom;
-    });
-  }
-
-  expose(stops) {
-    this.change((state) => {
-      state.exposure = Math.min(6, Math.max(-6, state.exposure + stops));
-    });
   }
 
   setMesh(name) {
     this.scene?.setMesh(this.meshOf(name));
     this.change((state) => {
       state.mesh = name;
-    });
-  }
-
-  nextMesh() {
-    this.setMesh(this.meshes[(this.meshes.indexOf(this.state.mesh) + 1) % this.meshes.length]);
-  }
-
-  nextLight() {
-    this.change((state) => {
-      state.active = (state.active + 1) % state.lights.length;
-    });
-  }
-
-  addLight() {
-    if (this.state.lights.length === MOST_LIGHTS) return;
-    this.change((state) => {
-      state.lights.push(makeLight({ theta: 50, phi: (state.lights.at(-1).phi + 90) % 360, strength: 0.5 }));
-      state.active = state.lights.length - 1;
-    });
-  }
-
-  removeLight() {
-    this.change((state) => {
-      if (state.lights.length > 1) state.lights.splice(state.active, 1);
-      state.active = Math.min(state.active, state.lights.length - 1);
-    });
-  }
-
-  toggleSweep(name) {
-    this.change((state) => {
-      state.sweeps = state.sweeps.includes(name) ? state.sweeps.filter((one) => one !== name) : [...state.sweeps, name];
-    });
-  }
-
-  toggleSweeps() {
-    this.change((state) => {
-      this.rested ??= ["light.phi"];
-      [state.sweeps, this.rested] = state.sweeps.length ? [[], state.sweeps] : [this.rested, state.sweeps];
     });
   }
 
@@ -258,9 +220,10 @@ export class Viewer {
   setMaterial(description, buffers) {
     Object.assign(this, { description, buffers: { ...this.buffers, ...buffers } });
     if (this.context) {
-      this.material.dispose();
+      const before = this.material;
       this.material = new Material(this.context, this.description, this.buffers);
       this.scene.setMaterial(this.material);
+      before.dispose();
     }
     this.emit("maps", null);
     this.redraw();
@@ -273,6 +236,7 @@ export class Viewer {
     this.pace?.stop();
     this.stopControls?.();
     this.resized?.disconnect();
+    this.watched?.disconnect();
     this.scheme?.removeEventListener("change", this.recoloured);
     this.scene?.dispose();
     this.material?.dispose();
