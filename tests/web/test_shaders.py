@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import re
+
 import pytest
 import torch
 from tests.models.examples import EXAMPLE_OPTIONS, make
+from tests.web.browser import PACKAGE
 from tests.web.cases import CASES, SHADED, hard_and_random, make_exact, of_every_formula
 from tests.web.drawing import relative_error
 
 from torchmat.errors import RangeError
 from torchmat.models import MATERIALS, Material, Ptm, Texture
+from torchmat.models.storage import MapSpec
 from torchmat.web.payload import describe, has_shader
 
 FLAT, SPHERES = 1e-9, 1e-6  # relative squared errors; measured at most 1e-12
@@ -100,6 +104,24 @@ def test_a_model_of_others_brings_its_own_shader(drawing, tmp_path):
         glsl = tmp_path / "doubled.glsl"
 
     assert worst_error(drawing, Brought(dict(material.maps), storage="float")) < FLAT
+
+
+def test_the_shader_of_the_readme(drawing, tmp_path):
+    blocks = re.findall(r"```glsl\n(.+?)```", (PACKAGE / "web" / "README.md").read_text(encoding="utf-8"), re.DOTALL)
+    (tmp_path / "tinted.glsl").write_text(blocks[0].replace('"../', f'"{PACKAGE}/'))
+
+    class Tinted(Material):
+        name, glsl = "tinted", tmp_path / "tinted.glsl"
+
+        def own_specs(self):
+            falloff = MapSpec("falloff", "exponent of the cosine", layer_channels=1, low=0.2, high=4.0, fixed_range=True)
+            return (MapSpec("albedo", "diffuse colour", low=0.0, colour=True), falloff)
+
+        def value(self, light, view):
+            return self.maps["albedo"] * light[..., 2:3, :, :] ** self.maps["falloff"]
+
+    maps = {"albedo": torch.rand(3, 4, 6), "falloff": 0.2 + 3 * torch.rand(1, 4, 6)}
+    assert worst_error(drawing, Tinted(maps, storage="float")) < FLAT
 
 
 def test_a_wrong_shader_says_which_line(drawing, tmp_path):
