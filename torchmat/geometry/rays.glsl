@@ -61,16 +61,18 @@ vec2 trace_view(vec2 uv, int level, vec3 view) {
   return uv + mix(above, below, clamp(divide(gap_above, gap_above - gap_below), 0.0, 1.0)) * slope;
 }
 
-// By how much a ray from the surface misses all of it, as a difference of slopes.
-float clearance(vec2 uv, int level, vec3 direction) {
+// By how much a ray from the surface misses all of it, as a difference of slopes; it is not followed on once that is `enough`.
+float clearance(vec2 uv, int level, vec3 direction, float enough) {
   ivec2 size = height_size_at(level);
   vec2 slope = ray_slope(direction, size), range = span_at(level);
   float span = range.y - range.x, run = max(length(slope), SHORTEST), least = 1.0 / run;
   if (!(span > 0.0)) return least;
-  float start = height_at(uv, level);
+  float start = height_at(uv, level), above = start - range.y;
   int count = steps_of(slope, span, size);
   for (int step = 1; step <= count; step++) {
     float z = span * (float(step) / float(count));
+    // Above the highest point rays come ever freer: no later step can be the least.
+    if (least <= enough || above + z > least * (z * run)) break;
     least = min(least, (start + z - height_at(uv + z * slope, level)) / (z * run));
   }
   return least;
@@ -78,5 +80,5 @@ float clearance(vec2 uv, int level, vec3 direction) {
 
 // How much of the light reaches the surface.
 float soft_shadow(vec2 uv, int level, vec3 light) {
-  return light.z > 0.0 ? clamp(clearance(uv, level, light) / SOFTNESS + 0.5, 0.0, 1.0) : 0.0;
+  return light.z > 0.0 ? clamp(clearance(uv, level, light, -SOFTNESS / 2.0) / SOFTNESS + 0.5, 0.0, 1.0) : 0.0;
 }

@@ -33,7 +33,15 @@ vec2 texels_of(vec2 uv, ivec2 size) {
 
 Place around(vec2 uv, ivec2 size, int level) {
   vec2 texel = texels_of(uv, size), below = floor(texel);
-  return Place(wrapped(ivec2(below), size), wrapped(ivec2(below) + 1, size), texel - below, level);
+  ivec2 low = ivec2(below), high = low + 1;
+#ifdef TILES
+  low += size * ivec2(lessThan(low, ivec2(0)));  // a remainder takes longer
+  high -= size * ivec2(equal(high, size));
+#else
+  low = clamp(low, ivec2(0), size - 1);
+  high = clamp(high, ivec2(0), size - 1);
+#endif
+  return Place(low, high, texel - below, level);
 }
 
 Place around(vec2 uv, int level) {

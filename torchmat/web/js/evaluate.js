@@ -31,7 +31,7 @@ void main() {
 const FREE = `${UNIFORMS}
 void main() {
   vec2 centre = gl_FragCoord.xy / vec2(2 * SIZE);
-  seen = vec4(clearance(vec2(centre.x, 1.0 - centre.y), 0, light));
+  seen = vec4(clearance(vec2(centre.x, 1.0 - centre.y), 0, light, -1e38));
 }`;
 
 /** How much of the light there is: an edge of a shadow is half a texel wide at least (models/fine_relief.py). */
