@@ -122,3 +122,39 @@ def test_maps_are_as_small_as_they_are_stored():
     assert (entry["type"], entry["transfer"], entry["colour"], entry["layers"], entry["channels"]) == ("u8", "srgb", True, 1, 3)
     decoded = material.as_exported().maps["diffuse"].detach()
     assert np.allclose(entry["range"], [float(decoded.min()), float(decoded.max())])
+
+
+def thumbnails(drawing, payload) -> dict[str, np.ndarray]:
+    """Return the small picture [rows, columns, rgb] of each map."""
+    script = """async ([entry, codes]) => {
+      const {thumbnail} = await import("/web/js/thumbnails.js"), canvas = thumbnail(entry, drawing.bytes(codes));
+      return [canvas.height, canvas.width, [...canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height).data]];
+    }"""
+    found = {}
+    for entry in payload.description["maps"]:
+        codes = base64.b64encode(payload.buffers[entry["name"]]).decode()
+        rows, columns, pixels = drawing.page.evaluate(script, [entry, codes])
+        found[entry["name"]] = np.array(pixels).reshape(rows, columns, 4)[..., :3]
+    return found
+
+
+@pytest.mark.parametrize("storage", ["half", "png8", "paint8"])
+def test_small_pictures_show_maps_as_paint_programs_do(drawing, storage):
+    options = {"lobes": 2, "parts": ["normal", "specular_mask", "rotation"]}
+    material = make("distribution", options, 8, 8, torch.float32, storage=storage)
+    share = torch.linspace(0, 1, 8).expand(1, 8, 8)
+    turned = torch.stack((torch.zeros(8, 8), torch.ones(8, 8)))
+    flat = torch.tensor([0.0, 0.0, 1.0])[:, None, None].expand(3, 8, 8)
+    colour = torch.tensor([1.0, 0.214, 0.0])[:, None, None].expand(3, 8, 8)
+    found = thumbnails(drawing, describe(material.with_maps(specular_mask=share, rotation=turned, normal=flat, diffuse=colour)))
+    assert np.abs(found["diffuse"] - [255, 127.5, 0]).max() <= 1  # 0.214 is half way in sRGB
+    assert np.abs(found["normal"] - [127.5, 127.5, 255]).max() <= 2
+    assert np.abs(found["rotation"] - [127.5, 255, 0]).max() <= 2  # a quarter of a turn from red
+    ramp = found["specular_mask"][0, :, 0]
+    assert (np.diff(ramp) > 0).all() and ramp[0] <= 1 and ramp[-1] >= 254
+    assert found["index"].shape == (8, 16, 3) and found["specular"].shape == (6, 12, 3)  # a lobe beside the other
+
+
+def test_small_pictures_are_small(drawing):
+    payload = describe(make("ptm", {}, 300, 150, torch.float32))
+    assert thumbnails(drawing, payload)["polynomial"].shape == (42, 33, 3)

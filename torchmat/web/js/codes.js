@@ -1,11 +1,11 @@
 // Codes of a map, as textures hold them, to its values.
 
-const ARRAYS = { u8: Uint8Array, u16: Uint16Array, f16: Uint16Array, f32: Float32Array };
+export const ARRAYS = { u8: Uint8Array, u16: Uint16Array, f16: Uint16Array, f32: Float32Array };
 const CODES = { u8: 256, u16: 65536 };
 let halves = null;
 
-/** @returns {Float32Array} the value of every code of a half float */
-export function halfFloats() {
+// The value of every code of a half float.
+function halfFloats() {
   halves ??= Float32Array.from({ length: 65536 }, (_, code) => {
     const sign = code & 0x8000 ? -1 : 1;
     const [exponent, part] = [(code >> 10) & 31, code & 1023];
@@ -20,8 +20,12 @@ export function linear(code) {
   return code > 0.04045 ? ((code + 0.055) / 1.055) ** 2.4 : code / 12.92;
 }
 
-// What each code of a channel stands for.
-function tableOf({ type, transfer, low, high }, channel) {
+/**
+ * What each code of a channel, counted through all layers, stands for; floats of 32 bits stand for themselves.
+ * @returns {Float32Array|null}
+ */
+export function tableOf({ type, transfer, low, high }, channel) {
+  if (type === "f32") return null;
   if (type === "f16") return halfFloats();
   const count = CODES[type];
   if (!low.length) return Float32Array.from({ length: count }, (_, code) => code); // whole numbers
@@ -48,7 +52,7 @@ export function decoded(entry, buffer) {
   const found = Array.from({ length: Math.ceil((layers * channels) / many) }, () => new Float32Array(texels * many));
   for (let place = 0; place < layers * channels; place += 1) {
     const [layer, channel] = [Math.floor(place / channels), place % channels];
-    const table = type === "f32" ? null : tableOf(entry, place);
+    const table = tableOf(entry, place);
     take(codes.subarray(layer * texels * channels + channel), channels, table, found[Math.floor(place / many)].subarray(place % many), many);
   }
   return { layers: found, channels: many };

@@ -1,5 +1,7 @@
 // A material's value at every texel under one light and view: the exact twin of Python's `material.shade`.
 
+import { NoWebGL2 } from "./gl.js";
+
 const UNIFORMS = `
 uniform vec3 light, view;
 out vec4 seen;
@@ -94,6 +96,7 @@ void main() {
  * @returns {Float32Array}
  */
 export function evaluate(context, material, light, view) {
+  if (!context.caps.targets) throw new NoWebGL2("This browser's WebGL2 has no floating-point targets: what it draws has no numbers to read.");
   const [height, width] = material.description.size;
   const size = [width, height];
   if (!(light[2] > 0 && view[2] > 0)) return new Float32Array(4 * width * height);

@@ -46,9 +46,10 @@ export class Context {
   begin() {
     const { gl } = this;
     const float = !this.half && gl.getExtension("EXT_color_buffer_float") !== null;
-    if (!float) gl.getExtension("EXT_color_buffer_half_float");
+    const targets = float || gl.getExtension("EXT_color_buffer_half_float") !== null || gl.getExtension("EXT_color_buffer_float") !== null;
     this.caps = {
       float,
+      targets,
       units: gl.getParameter(gl.MAX_TEXTURE_IMAGE_UNITS),
       size: gl.getParameter(gl.MAX_TEXTURE_SIZE),
       layers: gl.getParameter(gl.MAX_ARRAY_TEXTURE_LAYERS),

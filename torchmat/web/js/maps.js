@@ -20,13 +20,16 @@ export class TexelMap {
    * @param {ArrayBuffer} buffer its codes
    * @param {[number, number]} size height and width of the material; tables keep their own
    * @param {boolean} tiles
-   * @param {boolean} kept whether values of every level stay at hand, `levels[level].layers[0]`
+   * @param {{kept?: boolean, hidden?: boolean}} how kept: the first layer of every level stays at hand in `values`;
+   *   hidden: no shader reads it, so it has no texture
    */
-  constructor(context, entry, buffer, size, tiles, kept = false) {
+  constructor(context, entry, buffer, size, tiles, { kept = false, hidden = false } = {}) {
     this.context = context;
     this.size = entry.per_texel ? size : [entry.height, entry.width];
     this.tiles = tiles;
     this.kept = kept;
+    this.hidden = hidden;
+    this.texture = null;
     this.count = entry.per_texel ? levelsOf(size) : 1;
     this.fill(entry, buffer);
   }
@@ -37,13 +40,13 @@ export class TexelMap {
     let { layers, channels } = decoded(entry, buffer);
     let size = [entry.height, entry.width];
     if (!entry.per_texel) this.size = size;
-    this.make(channels, layers.length, entry);
+    if (!this.hidden) this.make(channels, layers.length, entry);
     this.values = [];
     for (let level = 0; level < this.count; level += 1) {
       const [from, to] = [size, sizeAt(this.size, level)];
       const wraps = level === 0 ? entry.wraps ?? tiles : tiles;
       if (from[0] !== to[0] || from[1] !== to[1]) layers = layers.map((values) => resampled(entry, values, from, channels, to, wraps));
-      context.upload(this.texture, layers, to, channels, level);
+      if (this.texture) context.upload(this.texture, layers, to, channels, level);
       if (this.kept) this.values.push(layers[0]);
       size = to;
     }

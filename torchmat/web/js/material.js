@@ -34,8 +34,10 @@ export class Material {
     const { context, description } = this;
     this.maps = new Map();
     for (const [name, entry] of this.entries) {
-      const kept = description.relief !== null && (name === "height" || name === "normal");
-      this.maps.set(name, new TexelMap(context, entry, this.buffers[name], description.size, description.tiles, kept));
+      // What normals and finer heights are made of: shaders read what is made.
+      const hidden = (name === "height" && description.relief === "fine") || (name === "normal" && description.derives_normal);
+      const kept = hidden || (name === "height" && description.relief !== null);
+      this.maps.set(name, new TexelMap(context, entry, this.buffers[name], description.size, description.tiles, { kept, hidden }));
     }
     this.relief = description.relief ? new Relief(context, description, this.maps) : null;
   }
@@ -47,7 +49,8 @@ export class Material {
 
   /** Every texture by the name of its sampler. */
   get textures() {
-    return new Map([...[...this.maps].map(([name, { texture }]) => [`map_${name}`, texture]), ...(this.relief?.textures ?? [])]);
+    const own = [...this.maps].filter(([, { texture }]) => texture).map(([name, { texture }]) => [`map_${name}`, texture]);
+    return new Map([...own, ...(this.relief?.textures ?? [])]);
   }
 
   /** Numbers by the name of their uniform. */

@@ -1,70 +1,76 @@
 // Small pictures of maps, from their codes.
 
+import { ARRAYS, tableOf } from "./codes.js";
 import { encoded } from "./scene.js";
 
 const SIDE = 64;
-const LARGEST = { u8: 255, u16: 65535 };
-
-/** @param {number} code of a half float @returns {number} */
-export function halfFloat(code) {
-  const sign = code & 0x8000 ? -1 : 1;
-  const [exponent, part] = [(code >> 10) & 31, code & 1023];
-  if (exponent === 0) return sign * part * 2 ** -24;
-  if (exponent === 31) return part ? NaN : sign * Infinity;
-  return sign * (1 + part / 1024) * 2 ** (exponent - 15);
-}
-
-function reader(entry, buffer) {
-  const array = { u8: Uint8Array, u16: Uint16Array, f16: Uint16Array, f32: Float32Array }[entry.type];
-  const codes = new array(buffer);
-  if (entry.type === "f16") return (at) => halfFloat(codes[at]);
-  const largest = LARGEST[entry.type] ?? 1;
-  return (at) => codes[at] / largest;
-}
+const MOST_ACROSS = 3; // layers side by side
+const SAMPLES = 3; // along each side of a pixel
 
 /**
- * Return a picture of a map's first layer: colours as they are seen, other maps from their least to their largest value.
- * @param {{type: string, colour: boolean, layers: number, channels: number, height: number, width: number, transfer: string}} entry
- * @param {ArrayBuffer} buffer its codes, [layer][row][column][channel]
+ * Return a picture of a map as one sees it in a paint program: colours encoded, normals as colours, rotations as hues, all else from
+ * the map's least to its largest value; of several layers the first nine.
+ * @param {object} entry of the description
+ * @param {ArrayBuffer} buffer its codes
  * @returns {HTMLCanvasElement}
  */
 export function thumbnail(entry, buffer) {
-  const { height, width, channels } = entry;
+  const { height, width, transfer, kind } = entry;
   const canvas = document.createElement("canvas");
-  const scale = Math.min(1, SIDE / Math.max(height, width));
-  canvas.width = Math.max(1, Math.round(width * scale));
-  canvas.height = Math.max(1, Math.round(height * scale));
+  const layers = kind === "rotation" ? 1 : Math.min(entry.layers, MOST_ACROSS ** 2);
+  const across = Math.ceil(Math.sqrt(layers));
+  const scale = Math.min(1, SIDE / across / Math.max(height, width));
+  const [rows, columns] = [height, width].map((side) => Math.max(1, Math.round(side * scale)));
+  canvas.width = across * columns;
+  canvas.height = Math.ceil(layers / across) * rows;
+  const pixels = new ImageData(canvas.width, canvas.height);
   const read = reader(entry, buffer);
-  const planes = channels >= 3 ? [0, 1, 2] : [0, 0, 0];
-  const values = new Float32Array(3 * canvas.width * canvas.height);
-  for (let y = 0; y < canvas.height; y += 1) {
-    for (let x = 0; x < canvas.width; x += 1) {
-      const [row, column] = [Math.floor((y + 0.5) * height / canvas.height), Math.floor((x + 0.5) * width / canvas.width)];
-      planes.forEach((plane, k) => {
-        values[3 * (y * canvas.width + x) + k] = read((row * width + column) * channels + plane);
-      });
+  const shown = transfer === "hue" ? (at) => [0, 1, 2].map((channel) => read(0, channel, at)) : painter(entry, read);
+  for (let layer = 0; layer < layers; layer += 1) {
+    for (let y = 0; y < rows; y += 1) {
+      for (let x = 0; x < columns; x += 1) {
+        const colour = meanOf(places(y, rows, height), places(x, columns, width), (row, column) => shown(row * width + column, layer));
+        const at = (Math.floor(layer / across) * rows + y) * canvas.width + (layer % across) * columns + x;
+        pixels.data.set([...colour.map((one) => 255 * one + 0.5), 255], 4 * at);
+      }
     }
   }
-  canvas.getContext("2d").putImageData(painted(entry, values, canvas), 0, 0);
+  canvas.getContext("2d").putImageData(pixels, 0, 0);
   return canvas;
 }
 
-function painted(entry, values, { width, height }) {
-  const colour = entry.colour;
-  let [low, high] = [0, 1];
-  if (!colour || entry.type.startsWith("f")) {
-    const finite = values.filter(Number.isFinite);
-    low = colour ? 0 : finite.reduce((one, other) => Math.min(one, other), Infinity);
-    high = finite.reduce((one, other) => Math.max(one, other), colour ? 1 : -Infinity);
-  }
-  const pixels = new ImageData(width, height);
-  for (let at = 0; at < width * height; at += 1) {
-    for (let k = 0; k < 3; k += 1) {
-      const share = high > low ? Math.min(1, Math.max(0, (values[3 * at + k] - low) / (high - low))) : 0.5;
-      const shown = colour && entry.transfer !== "srgb" ? encoded(share) : share;
-      pixels.data[4 * at + k] = 255 * shown;
-    }
-    pixels.data[4 * at + 3] = 255;
-  }
-  return pixels;
+// The value of a layer's channel at a texel; of hues the code itself, which is what one sees.
+function reader(entry, buffer) {
+  const { height, width, channels, transfer, type } = entry;
+  const codes = new ARRAYS[type](buffer);
+  const tables = Array.from({ length: entry.layers * channels }, (_, place) => (transfer === "hue" ? null : tableOf(entry, place)));
+  const top = transfer === "hue" ? { u8: 255, u16: 65535 }[type] : 1;
+  return (layer, channel, texel) => {
+    const code = codes[(layer * height * width + texel) * channels + channel];
+    return tables[layer * channels + channel]?.[code] ?? code / top;
+  };
+}
+
+function painter({ channels, colour, kind, range: [low, high] }, read) {
+  if (kind === "rotation") return (at) => hue(Math.atan2(read(1, 0, at), read(0, 0, at)));
+  if (kind === "normal") return (at, layer) => [0, 1, 2].map((channel) => (read(layer, channel, at) + 1) / 2);
+  const share = (value) => (high > low ? (value - low) / (high - low) : 0.5);
+  const brightest = Math.max(1, high);
+  const one = colour ? (value) => encoded(Math.min(Math.max(value / brightest, 0), 1)) : share;
+  return (at, layer) => [0, 1, 2].map((channel) => one(read(layer, channels === 1 ? 0 : Math.min(channel, channels - 1), at)));
+}
+
+function hue(angle) {
+  const turn = (angle / (2 * Math.PI) + 1) % 1;
+  return [0, 2 / 3, 1 / 3].map((start) => Math.min(Math.max(Math.abs(((turn + start) % 1) * 6 - 3) - 1, 0), 1));
+}
+
+function places(pixel, pixels, texels) {
+  return Array.from({ length: SAMPLES }, (_, k) => Math.floor((pixel + (k + 0.5) / SAMPLES) * texels / pixels));
+}
+
+function meanOf(rows, columns, shown) {
+  const sum = [0, 0, 0];
+  for (const row of rows) for (const column of columns) shown(row, column).forEach((one, k) => { sum[k] += one / (SAMPLES * SAMPLES); });
+  return sum;
 }
