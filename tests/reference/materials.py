@@ -137,6 +137,8 @@ def _distribution(maps, options, light, view, row, column):
     half = half_vector(light, view)
     up = 1 + max(0.0, _dot(half, normal))
     u, v = _dot(half, tangent) / up, _dot(half, bitangent) / up
+    if options.get("specular_spacing") == "dense":  # the root of the distance from the centre, but for a spot of 1 / 256 there
+        u, v = (axis / (u * u + v * v + 1 / 65536) ** 0.25 for axis in (u, v))
     weight = texel["index"] if lobes > 1 else [1.0]
     colour = [sum(w * _on_parabolic_map(maps["specular"][3 * k + c], u, v) for k, w in enumerate(weight)) for c in range(3)]
     a, b = (_tilt_at(maps["tilt"], x) for x in (n_dot_l, n_dot_v)) if "tilt" in maps else (n_dot_l, n_dot_v)

@@ -197,7 +197,7 @@ def specular(material: Material, maps: Sequence[str | Tensor]) -> Distribution:
         step = "Name as many, with keep for those that stay; index makes them more or fewer."
         raise ShapeError(message("specular", "maps", f"be {lobes}, as the material has", f"there are {len(maps)}", step))
     before = material.maps["specular"].detach().split(3) if lobes else ()
-    found = [_specular(one, old) for one, old in zip(maps, before, strict=True)]
+    found = [_specular(one, old, material.specular_spacing) for one, old in zip(maps, before, strict=True)]
     for number, one in enumerate(found):
         if one.ndim != 3 or one.shape[0] != 3 or one.shape != found[0].shape:
             fact = f"map {number} is {tuple(one.shape)}, map 0 is {tuple(found[0].shape)}"
@@ -205,10 +205,10 @@ def specular(material: Material, maps: Sequence[str | Tensor]) -> Distribution:
     return replace_map(material, "specular", torch.cat(found).to(material.dtype)) if found else material
 
 
-def _specular(one: str | Tensor, old: Tensor) -> Tensor:
+def _specular(one: str | Tensor, old: Tensor, spacing: str) -> Tensor:
     if isinstance(one, Tensor):
         return one.to(old.dtype)
-    return old if one == KEEP else specular_map(one, old.shape[-1]).to(old.dtype)
+    return old if one == KEEP else specular_map(one, old.shape[-1], spacing).to(old.dtype)
 
 
 def index(material: Material, lobes: int | None = None, softness: float = 0.0, seed: int = 0) -> Distribution:
@@ -222,7 +222,7 @@ def index(material: Material, lobes: int | None = None, softness: float = 0.0, s
     lobes = before if lobes is None else lobes
     weights = segments(material.maps["diffuse"].detach(), lobes, softness=softness, seed=seed)
     maps = {name: value.detach() for name, value in material.maps.items() if name != "index"}
-    shapes = maps["specular"].split(3) if before else (specular_map(_USUAL).to(material.dtype),)
+    shapes = maps["specular"].split(3) if before else (specular_map(_USUAL, spacing=material.specular_spacing).to(material.dtype),)
     maps["specular"] = torch.cat([shapes[min(number, len(shapes) - 1)] for number in range(lobes)])
     if lobes > 1:
         maps["index"] = weights.to(material.dtype)

@@ -18,58 +18,61 @@ from torch import Tensor
 
 from torchmat.errors import RangeError, check_known_keys, check_option, check_positive, message
 from torchmat.models.distribution import TILT_SAMPLES, default_tilt
+from torchmat.models.parabolic import EVEN, SPACINGS, evenly, texel_places
 
 WHITE = (1.0, 1.0, 1.0)
 _QUARTER = math.pi / 2
 
 
-def disc(size: int) -> tuple[Tensor, Tensor]:
+def disc(size: int, spacing: str = EVEN) -> tuple[Tensor, Tensor]:
     """Return polar angle and azimuth [S, S] of the half vector of each texel; beyond the rim the angle grows on."""
+    check_option("specular map", "spacing", spacing, SPACINGS)
     if not isinstance(size, int) or isinstance(size, bool) or size < 1:
         raise RangeError(message("specular map", "size", "be a whole number of texels", f"it is {size!r}"))
-    axis = (torch.arange(size, dtype=torch.float64) + 0.5) / size * 2 - 1
-    y, x = torch.meshgrid(-axis, axis, indexing="ij")
+    x, y = evenly(texel_places(size), spacing)
     return 2 * torch.atan(torch.hypot(x, y)), torch.atan2(y, x)
 
 
-def glossy(*, size: int = 48, strength: float = 1.0, width: float = 0.25, colour: Sequence[float] = WHITE) -> Tensor:
+def glossy(*, size: int = 48, strength: float = 1.0, width: float = 0.25, colour: Sequence[float] = WHITE, spacing: str = EVEN) -> Tensor:
     """Return a round dot: a Gaussian of the polar angle that falls to half at `width` radians."""
-    polar, _ = disc(size)
+    polar, _ = disc(size, spacing)
     return _tinted(_bell(polar, width), strength, colour)
 
 
-def soft(*, size: int = 48, strength: float = 1.0, width: float = 0.7, colour: Sequence[float] = WHITE) -> Tensor:
+def soft(*, size: int = 48, strength: float = 1.0, width: float = 0.7, colour: Sequence[float] = WHITE, spacing: str = EVEN) -> Tensor:
     """Return a broad sheen: a power of the polar angle's cosine, half at `width` radians and nothing at the rim."""
     if not 0 < width < _QUARTER:
         raise RangeError(message("specular map", "width", "lie between 0 and pi/2 radians", f"it is {width}"))
-    polar, _ = disc(size)
+    polar, _ = disc(size, spacing)
     return _tinted(torch.cos(polar).clamp(min=0) ** (math.log(0.5) / math.log(math.cos(width))), strength, colour)
 
 
-def rim(*, size: int = 48, strength: float = 1.0, width: float = 0.35, colour: Sequence[float] = WHITE) -> Tensor:
+def rim(*, size: int = 48, strength: float = 1.0, width: float = 0.35, colour: Sequence[float] = WHITE, spacing: str = EVEN) -> Tensor:
     """Return a bright rim, as of upright fibres: full at 90 degrees, half `width` radians before it."""
-    polar, _ = disc(size)
+    polar, _ = disc(size, spacing)
     return _tinted(_bell(polar - _QUARTER, width), strength, colour)
 
 
 def anisotropic(
-    *, size: int = 48, strength: float = 1.0, width: float = 0.15, ratio: float = 4.0, colour: Sequence[float] = WHITE
+    *, size: int = 48, strength: float = 1.0, width: float = 0.15, ratio: float = 4.0, colour: Sequence[float] = WHITE,
+    spacing: str = EVEN,
 ) -> Tensor:
     """Return a dot drawn out along x: half at `width` radians along y, at `ratio` times as many along x.
 
     The rotation map turns it texel by texel, which is how brushed and woven surfaces are made.
     """
     check_positive("specular map", "ratio", ratio, "1 is round.")
-    polar, azimuth = disc(size)
+    polar, azimuth = disc(size, spacing)
     along, across = polar * torch.cos(azimuth) / ratio, polar * torch.sin(azimuth)
     return _tinted(_bell(torch.hypot(along, across), width), strength, colour)
 
 
 def noise(
-    *, size: int = 48, strength: float = 1.0, width: float = 0.5, colour: Sequence[float] = WHITE, seed: int = 0
+    *, size: int = 48, strength: float = 1.0, width: float = 0.5, colour: Sequence[float] = WHITE, seed: int = 0,
+    spacing: str = EVEN,
 ) -> Tensor:
     """Return glints: a glossy dot, each texel of which is scaled by a random number in [0, 1) that `seed` determines."""
-    polar, _ = disc(size)
+    polar, _ = disc(size, spacing)
     random = torch.rand(size, size, dtype=torch.float64, generator=torch.Generator().manual_seed(seed))
     return _tinted(_bell(polar, width) * random, strength, colour)
 
@@ -96,18 +99,18 @@ SPECULAR_MAPS: dict[str, Callable[..., Tensor]] = {
 }
 
 
-def specular_map(text: str, size: int | None = None) -> Tensor:
+def specular_map(text: str, size: int | None = None, spacing: str = EVEN) -> Tensor:
     """Return the map of a name with controls, such as ``glossy`` or ``anisotropic:ratio=6,width=0.1,colour=1/0.8/0.5``.
 
-    `size` is its side where the text gives none. Raises RangeError for a name or control that does not exist, naming the
+    `size` is its side where the text gives none, `spacing` how the texels lie in the material that it is for. Raises RangeError for a name or control that does not exist, naming the
     nearest, or a value that is no number.
     """
     name, _, rest = text.partition(":")
     check_option("specular map", "the name", name, SPECULAR_MAPS)
-    controls: dict[str, Any] = {} if size is None else {"size": size}
+    controls: dict[str, Any] = {"spacing": spacing} | ({} if size is None else {"size": size})
     for part in filter(None, rest.split(",")):
         key, _, value = part.partition("=")
-        check_known_keys(f"specular map {name!r}", [key], inspect.signature(SPECULAR_MAPS[name]).parameters)
+        check_known_keys(f"specular map {name!r}", [key], inspect.signature(SPECULAR_MAPS[name]).parameters.keys() - {"spacing"})
         try:
             numbers = tuple(int(number) if number.isdigit() else float(number) for number in value.split("/"))
         except ValueError as error:

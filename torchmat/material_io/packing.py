@@ -45,7 +45,8 @@ CONVENTIONS = {
     "normal": "x right, y up (OpenGL), z out; the whole normal, that of the height included",
     "height": "texture widths over the plane of the images",
     "rotation": "turns counter-clockwise from +x as a hue; filter its cosine and sine, never the angle",
-    "specular_maps": "parabolic, layer k in rows k * side to (k + 1) * side, in the order of a texture array",
+    "specular_maps": "parabolic, layer k in rows k * side to (k + 1) * side, in the order of a texture array; with the option "
+    "specular_spacing dense the place p is looked up at p (p.p + 1 / 65536)^(-1/4)",
     "tilt": "1 - d at 0..90 degrees, filtered linearly",
     "masking": "among the constants: a_u, a_v of Smith's denominator in the texel's turned frame; without it D is Ashikhmin's",
 }

@@ -17,6 +17,7 @@ from torchmat.models.base import Material
 from torchmat.models.distribution import _MOST_LOBES, DISTRIBUTION_PARTS, Distribution
 from torchmat.models.edit import neutral_part, resample, resized, with_options
 from torchmat.models.indirect import FALLOFF, INDIRECT, told_alike
+from torchmat.models.parabolic import DENSE, EVEN, respaced
 
 
 def blend(first: Material, second: Material, weight: float | Tensor, filter: str = "bilinear") -> Material:
@@ -36,7 +37,7 @@ def blend(first: Material, second: Material, weight: float | Tensor, filter: str
     second = _like(second, first, filter)
     if weight.ndim == 0 and float(weight) in (0.0, 1.0):
         return first if float(weight) == 0 else second
-    first, second = told_alike(first, second)
+    first, second = _spaced_alike(*told_alike(first, second))
     first = first.stored_at(dict.fromkeys(first.stored.keys() - _stored_alike(first, second, weight)))
     maps = _relief(first, second, weight)
     if isinstance(first, Distribution) and isinstance(second, Distribution):
@@ -54,6 +55,24 @@ def blend(first: Material, second: Material, weight: float | Tensor, filter: str
             _check_number(weight, spec.name)
         maps[spec.name] = _mix_vectors(spec.name, one, other, weight) if spec.name == "normal" else mix(one, other, weight)
     return type(first)(maps, **first.settings(maps), **first.options)
+
+
+def _spaced_alike(first: Material, second: Material) -> tuple[Material, Material]:
+    """Return two materials whose specular maps have their texels in the same places: where one's are dense, both's."""
+    if not isinstance(first, Distribution) or not isinstance(second, Distribution):
+        return first, second
+    shining = [side.specular_spacing for side in (first, second) if side.options["lobes"]]
+    wanted = DENSE if DENSE in shining else EVEN
+    return _with_spacing(first, wanted), _with_spacing(second, wanted)
+
+
+def _with_spacing(side: Distribution, spacing: str) -> Distribution:
+    if side.specular_spacing == spacing:
+        return side
+    maps = {name: value.detach() for name, value in side.maps.items()}
+    if "specular" in maps:
+        maps["specular"] = respaced(maps["specular"], side.specular_spacing, spacing)
+    return with_options(side, maps, specular_spacing=spacing)
 
 
 def mix(one: Tensor, other: Tensor, weight: Tensor) -> Tensor:
@@ -82,7 +101,7 @@ def _check_pair(first: Material, second: Material, weight: Tensor) -> None:
     if first.cutout != second.cutout:
         fact = f"they are {first.cutout} and {second.cutout}"
         raise RangeError(message("blend", "the materials", "cover the same part of a texture", fact))
-    free = ("lobes", "parts", "mask_channels") if isinstance(first, Distribution) else ()
+    free = ("lobes", "parts", "mask_channels", "specular_spacing") if isinstance(first, Distribution) else ()
     if weight.ndim == 0 or not all("fresnel" in side.maps for side in (first, second)):
         free = (*free, "fresnel_exponent")  # a number lies between two others; a map of them has no place
     for name, value in first.options.items():

@@ -21,6 +21,7 @@ from torchmat.errors import RangeError, ShapeError, check_option, check_positive
 from torchmat.geometry import normals_from_slopes, slopes_from_height, slopes_from_normals
 from torchmat.models.base import Material, combine
 from torchmat.models.ggx import smith_denominator
+from torchmat.models.parabolic import EVEN, SPACINGS, places
 from torchmat.models.storage import MapSpec
 
 DISTRIBUTION_PARTS = ("normal", "specular_mask", "fresnel", "rotation", "tilt", "masking")
@@ -82,7 +83,8 @@ class Distribution(Material):
     a_u, a_v of Smith's height-correlated masking for GGX (Heitz 2014), whose denominator ``N.L sqrt((a_u v_x)^2 + (a_v v_y)^2
     + v_z^2) + N.V sqrt((a_u l_x)^2 + (a_v l_y)^2 + l_z^2)`` in the texel's turned frame stands for D. With neither, D is as
     printed, which cannot grow towards grazing as rough metal does. Always there: `diffuse` [3, H, W], and with `lobes` > 0 `specular` [3 lobes, S, S], row 0 at the top, h_y up; with `lobes` > 1 `index`
-    [lobes, H, W], the weight of each. `fresnel_exponent` is Schlick's 5; 1 is the thesis's printed formula.
+    [lobes, H, W], the weight of each. `fresnel_exponent` is Schlick's 5; 1 is the thesis's printed formula. `specular_spacing`
+    of "dense" gives the specular maps more texels at their centres, for sharp highlights (`parabolic`); the thesis's are "even".
     """
 
     name = "distribution"
@@ -91,12 +93,13 @@ class Distribution(Material):
 
     def __init__(
         self, maps: Mapping[str, Tensor], *, lobes: int = 1, parts: Sequence[str] = ("specular_mask",),
-        mask_channels: int = 1, fresnel_exponent: float = 5.0, **settings: Any,
+        mask_channels: int = 1, fresnel_exponent: float = 5.0, specular_spacing: str = EVEN, **settings: Any,
     ) -> None:
         if not isinstance(lobes, int) or isinstance(lobes, bool) or not 0 <= lobes <= _MOST_LOBES:
             raise RangeError(message(self.name, "lobes", f"be a whole number from 0 to {_MOST_LOBES}", f"it is {lobes!r}"))
         check_positive(self.name, "fresnel_exponent", fresnel_exponent, "5 is Schlick's.")
         check_option(self.name, "mask_channels", mask_channels, (1, 3))
+        check_option(self.name, "specular_spacing", specular_spacing, SPACINGS)
         for part in parts:
             check_option(self.name, "parts", part, DISTRIBUTION_PARTS)
         if all(part in parts for part in _DENOMINATORS):
@@ -105,12 +108,19 @@ class Distribution(Material):
         chosen = [part for part in DISTRIBUTION_PARTS if part in parts]
         self._kept_frame: tuple[list[Tensor], list[tuple], tuple[Tensor, Tensor | None]] | None = None
         options: dict[str, Any] = {"lobes": lobes, "parts": chosen, "mask_channels": mask_channels, "fresnel_exponent": fresnel_exponent}
+        if specular_spacing != EVEN:
+            options["specular_spacing"] = specular_spacing
         super().__init__(maps, **options, **settings)
         self._check_tables()
 
     @property
     def _lobes(self) -> int:
         return self.options["lobes"]
+
+    @property
+    def specular_spacing(self) -> str:
+        """How the texels of the specular maps lie: "even" or "dense"."""
+        return self.options.get("specular_spacing", EVEN)
 
     def _check_tables(self) -> None:
         if "specular" in self.maps and self.maps["specular"].shape[-1] != self.maps["specular"].shape[-2]:
@@ -221,7 +231,7 @@ class Distribution(Material):
         """Return the specular colour [..., 3, h, w] for half vectors in the texels' frames."""
         lead, (rows, columns) = local.shape[:-3], local.shape[-2:]
         flat = local.reshape(-1, 3, rows, columns)
-        place = flat[:, :2] / (1 + flat[:, 2:].clamp(min=0))
+        place = places(flat, self.specular_spacing)
         grid = torch.stack((place[:, 0], -place[:, 1]), dim=-1)
         # Threads share out the batch: rows are cut into parts that look the same maps up.
         parts = math.gcd(len(flat) * rows, _PARTS)

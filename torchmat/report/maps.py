@@ -13,7 +13,8 @@ from torch import Tensor
 from torchmat import colour
 from torchmat.create.controls import rotation_to_hue
 from torchmat.errors import RangeError, ShapeError, check_finite, message
-from torchmat.models import Material
+from torchmat.models import Distribution, Material
+from torchmat.models.parabolic import EVEN, places
 from torchmat.models.storage import MapSpec
 from torchmat.rendering import render
 from torchmat.report.pictures import plotting, save_figure
@@ -49,7 +50,8 @@ def maps_picture(material: Material, path: Path, half: Tensor | None = None) -> 
     hue, other signed triples about grey, tables and curves as such. Specular maps are on a logarithmic scale inside
     the disc's rim, with the half vectors `half` [n, 3] marked on them: what data or a viewer says about them.
     """
-    marks = None if half is None else _marks(half)
+    spacing = material.specular_spacing if isinstance(material, Distribution) else EVEN
+    marks = None if half is None else _marks(half, spacing)
     panels = [panel for spec in material.specs() for panel in _panels(spec, material.maps[spec.name].detach(), marks)]
     columns = min(_COLUMNS, len(panels))
     rows = math.ceil(len(panels) / columns)
@@ -63,8 +65,8 @@ def maps_picture(material: Material, path: Path, half: Tensor | None = None) -> 
     return save_figure(figure, Path(path))
 
 
-def _marks(half: Tensor) -> Tensor:
-    """Return where on the parabolic disc half vectors [n, 3] lie, [n, 2]."""
+def _marks(half: Tensor, spacing: str = EVEN) -> Tensor:
+    """Return where on specular maps of a spacing half vectors [n, 3] lie, [n, 2]."""
     if half.ndim != 2 or half.shape[1] != 3:
         raise ShapeError(message("maps_picture", "half", "be [n, 3]", f"it is {tuple(half.shape)}"))
     check_finite("maps_picture", "half", half)
@@ -72,7 +74,7 @@ def _marks(half: Tensor) -> Tensor:
     if bool(below.any()):
         fact = f"row {int(below.nonzero()[0])} is {half[below][0].tolist()}"
         raise RangeError(message("maps_picture", "half", "point away from -z", fact, "It has no place on the disc."))
-    return half[:, :2] / (1 + half[:, 2:])
+    return places(half.double().T[:, :, None], spacing)[:, :, 0].T
 
 
 def _panels(spec: MapSpec, value: Tensor, marks: Tensor | None) -> list[_Panel]:

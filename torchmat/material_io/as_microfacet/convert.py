@@ -132,8 +132,8 @@ def _shapes(flat: Distribution, kinds: Tensor, r0: float) -> Distribution:
         maps["index"] = kinds.T[:, None].to(dtype)
     maps["fresnel"] = torch.full((1, 1, count), r0, dtype=dtype)
     parts = [name for name in ("fresnel", "tilt", "masking") if name in maps]
-    exponent = flat.options["fresnel_exponent"]
-    return Distribution(maps, lobes=flat.options["lobes"], parts=parts, fresnel_exponent=exponent)
+    kept = {name: flat.options[name] for name in ("lobes", "fresnel_exponent", "specular_spacing") if name in flat.options}
+    return Distribution(maps, parts=parts, **kept)
 
 
 _WAYS: dict[type[Material], Callable[..., Material]] = {

@@ -18,6 +18,7 @@ import torch.nn.functional as functional
 from torch import Tensor
 
 from torchmat.fitting.models.distribution.parameters import EXPONENT, Parts
+from torchmat.models.parabolic import DENSE, EVEN
 from torchmat.progress import whole
 from torchmat.repeatable import one_thread
 from torchmat.solvers import Minibatch
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
     from torchmat.fitting.models.distribution.fit import DistributionFit
 
 _PILOT = 300  # steps of a short run
+_SHARP = 0.3  # roughness of highlights from which on evenly spaced texels of specular maps hold all there is
 _GAIN_DB = 0.08  # what one more part must bring
 _MOST_LOBES = 3
 _PILOTS_SHARE = 0.08  # of a limit of seconds, for each pilot
@@ -51,7 +53,9 @@ class Choice:
         tilt = asked["tilt"] is True or given.denominator == "tilt"
         self.parts = Parts(
             lobes, **on, tilt=tilt, normal=given.normal, specular_mask=given.specular_mask, masking=given.denominator == "smith",
+            spacing=EVEN if given.specular_spacing == "auto" else given.specular_spacing,
         )
+        self.undecided = decides and given.specular_spacing == "auto"  # how the texels of specular maps lie
         self.trials: list[Callable[[Parts], Parts]] = []
         if decides and asked["tilt"] == "auto":
             self.trials.append(lambda parts: replace(parts, tilt=True))
@@ -69,12 +73,14 @@ class Choice:
 
     def start(self, starts: dict[str, Tensor]) -> None:
         """Choose what is chosen before the fit, by short runs with one more part each."""
+        if self.undecided and float(starts["width"].min()) < _SHARP:
+            self.trials.insert(0, lambda parts: replace(parts, spacing=DENSE))
         if not self.trials:
             return
         steps = self._steps(_PILOT)
         with whole("choosing parts", (len(self.trials) + 1) * steps, "fitting", show=self.fit.surface.training.progress) as bar:
             best = self._pilot(starts, self.parts, steps)
-            self.tried.append({"lobes": self.parts.lobes, "tilt": self.parts.tilt, "psnr_db": best, "kept": True})
+            self.tried.append({**_told(self.parts), "psnr_db": best, "kept": True})
             for trial in self.trials:
                 rival = trial(self.parts)
                 if rival == self.parts:
@@ -82,7 +88,7 @@ class Choice:
                     continue
                 found = self._pilot(starts, rival, steps)
                 kept = found > best + _GAIN_DB
-                self.tried.append({"lobes": rival.lobes, "tilt": rival.tilt, "psnr_db": found, "kept": kept})
+                self.tried.append({**_told(rival), "psnr_db": found, "kept": kept})
                 if kept:
                     self.parts, best = rival, found
 
@@ -126,6 +132,10 @@ class Choice:
         btf = self.fit.surface.training.btf
         apart = 1 - (btf.light + btf.view).double().norm(dim=1) / 2
         return float(apart.clamp(min=0).pow(self.fit.exponent(raw)).mean())
+
+
+def _told(parts: Parts) -> dict[str, Any]:
+    return {"lobes": parts.lobes, "tilt": parts.tilt, "spacing": parts.spacing}
 
 
 def _of_lobes(lobes: int, parts: Parts) -> Parts:

@@ -34,6 +34,9 @@ from torchmat.solvers.stop_reasons import DIVERGED, NOT_FINITE
 _BATCH_VALUES, _FEWEST_IMAGES = 49152, 4  # texels x images of one step
 _LEAST_GRADIENT = 1e-8 * 4096  # of a texel; the loss is a mean, so all gradients shrink with the number of texels
 _RATE = 0.06
+import os
+_SMOOTH = float(os.environ.get("SMOOTH", "0"))
+_SMALL = 0.1
 _ROUNDS = (1100, 900)  # steps before and after parts are decided
 _FEWER = {Adam: 4, LBFGS: 10}  # steps on all samples at once do so many times as much
 # Passes of the multiplicative start, and images of each. Only a hurried fit begins so: a whole one gets there by Adam, and
@@ -46,7 +49,7 @@ def fit_distribution(
     rotation: bool | Literal["auto"] = "auto", tilt: bool | Literal["auto"] = False, normal: bool = True,
     specular_mask: bool = True, specular_size: int = 48, effort: float = 1.0, solver: Stepping = Minibatch(),
     storage: str = "png8", objective: str | Residual = DISPLAY, denominator: Literal["smith", "ashikhmin", "tilt"] = "smith",
-    fresnel_exponent: float | Literal["auto"] = "auto",
+    fresnel_exponent: float | Literal["auto"] = "auto", specular_spacing: Literal["auto", "even", "dense"] = "auto",
 ) -> Fitted:
     """Fit the distribution material to a flat surface.
 
@@ -69,10 +72,12 @@ def fit_distribution(
             each texel's turned frame (Heitz 2014); "ashikhmin" by D as the thesis prints it; "tilt" by D with a curve.
         fresnel_exponent: how a part of the light rises to all of it towards grazing: 5 is Schlick's, 1 the thesis's printed
             formula, "auto" finds one for the whole material: Schlick's is a quarter too dark at 60 degrees on glass.
+        specular_spacing: how the texels of the specular maps lie: "even" as in the thesis, "dense" with more of them at the centre;
+            "auto" tries both where highlights are sharp.
     """
     given = DistributionOptions(
         lobes, fresnel, rotation, tilt, normal, specular_mask, specular_size, effort, solver, storage, objective, denominator,
-        fresnel_exponent,
+        fresnel_exponent, specular_spacing,
     )
     flat = torch.zeros(1, training.btf.height, training.btf.width, dtype=training.dtype)
     return DistributionFit(bring_onto(training, flat), None, given).run()
@@ -81,6 +86,12 @@ def fit_distribution(
 def fit_distribution_on_relief(surface: Surface, height: Tensor, **options: Any) -> Fitted:
     """Fit the distribution material over a relief."""
     return DistributionFit(surface, height, DistributionOptions(**options)).run()
+
+
+def roughness_of(log_specular: Tensor) -> Tensor:
+    """Return the sum of differences between neighbours, squared where they are small: noise counts, an edge does not much more."""
+    across, down = log_specular.diff(dim=-1), log_specular.diff(dim=-2)
+    return sum((torch.sqrt(one * one + _SMALL * _SMALL) - _SMALL).sum() for one in (across, down))
 
 
 @dataclass
@@ -231,11 +242,11 @@ class DistributionFit:
 
     def _flat(self, maps: dict[str, Tensor], parts: Parts, exponent: Tensor | None) -> Distribution:
         names = (*parts.names, *(["normal"] if "normal" in maps and not parts.normal else []))
-        key = (str(parts.lobes), *names)
+        key = (str(parts.lobes), parts.spacing, *names)
         if key not in self.templates:
             found = {name: value.detach() for name, value in maps.items()}
             own = self._given_exponent or SCHLICK
-            self.templates[key] = Distribution(found, lobes=parts.lobes, parts=names, fresnel_exponent=own)
+            self.templates[key] = Distribution(found, lobes=parts.lobes, parts=names, fresnel_exponent=own, specular_spacing=parts.spacing)
         # Not checked again at each step: maps that are no longer finite show in the error.
         flat = self.templates[key].sharing(maps)
         return flat if exponent is None else flat.with_rise(exponent)
@@ -258,6 +269,11 @@ class DistributionFit:
                 if not math.isfinite(total):  # look-ups in places that are none may end the process
                     return total
                 loss.backward()
+            if "specular" in raw:
+                with torch.enable_grad():
+                    rough = _SMOOTH * roughness_of(raw["specular"]) / (len(samples) * training.btf.height * training.btf.width)
+                total += float(rough.detach())
+                rough.backward()
             return total
 
         parameters = [value.requires_grad_() for value in raw.values()]
@@ -285,6 +301,6 @@ class DistributionFit:
                 maps["normal"] = normals_from_slopes(raw["normal"] - self.surface.slopes)
         return Distribution(
             {name: value.detach() for name, value in maps.items()}, lobes=parts.lobes, parts=parts.names,
-            fresnel_exponent=self.exponent(raw), storage=self.options.storage, tiles=self.surface.training.tiles,
+            fresnel_exponent=self.exponent(raw), specular_spacing=parts.spacing, storage=self.options.storage, tiles=self.surface.training.tiles,
             relief=self.surface.training.relief,
         )

@@ -7,6 +7,7 @@ from typing import Literal
 
 from torchmat.errors import RangeError, check_option, check_positive, message
 from torchmat.fitting.objective import DISPLAY, Residual, check_objective
+from torchmat.models.parabolic import SPACINGS
 from torchmat.models.storage import STORAGES
 from torchmat.solvers import Minibatch, Stepping
 
@@ -32,11 +33,13 @@ class DistributionOptions:
     objective: str | Residual = DISPLAY
     denominator: Literal["smith", "ashikhmin", "tilt"] = "smith"
     fresnel_exponent: float | Literal["auto"] = "auto"
+    specular_spacing: Literal["auto", "even", "dense"] = "auto"
 
     def __post_init__(self) -> None:
         check_objective(_WHERE, self.objective)
         check_option(_WHERE, "storage", self.storage, STORAGES)
         check_option(_WHERE, "denominator", self.denominator, DENOMINATORS)
+        check_option(_WHERE, "specular_spacing", self.specular_spacing, ("auto", *SPACINGS))
         if self.lobes != "auto" and not 0 <= self.lobes <= MOST_LOBES:
             raise RangeError(message(_WHERE, "lobes", f"lie in 0 to {MOST_LOBES}, or be 'auto'", f"it is {self.lobes!r}"))
         asked = [name for name in ("fresnel", "rotation", "tilt") if getattr(self, name) is True]

@@ -19,6 +19,7 @@ from torchmat.frames import half_vector, tangent_frame
 from torchmat.geometry import normals_from_slopes
 from torchmat.models.distribution import DISTRIBUTION_PARTS, default_tilt, distribution_specs
 from torchmat.models.indirect import AMBIENT
+from torchmat.models.parabolic import EVEN, evenly, texel_places
 from torchmat.models.storage import MapSpec
 from torchmat.models.unbounded import map_of, relative_rate
 from torchmat.repeatable import one_thread
@@ -41,6 +42,7 @@ class Parts:
     normal: bool = True
     specular_mask: bool = True
     masking: bool = True
+    spacing: str = EVEN
 
     @property
     def names(self) -> list[str]:
@@ -92,6 +94,7 @@ def raw_maps(
     generator = torch.Generator().manual_seed(training.seed)
     axis = (torch.arange(size, dtype=dtype) + 0.5) / size * 2 - 1
     distance = axis[:, None] ** 2 + axis[None, :] ** 2
+    distance = distance if parts.spacing == EVEN else evenly(texel_places(size, dtype), parts.spacing).square().sum(dim=0)
     noise = torch.randn(3 * parts.lobes, 1, 1, generator=generator, dtype=torch.float64).to(dtype)
     inside = inside_of(mean, training.btf.mask)
     with one_thread():

@@ -19,6 +19,7 @@ def _settle(options: dict[str, Any], fitted: Fitted) -> tuple[dict[str, Any], Fi
     parts, lobes = (fitted.material.options[name] for name in ("parts", "lobes"))
     chosen: dict[str, Any] = {part: part in parts for part in ("fresnel", "rotation", "tilt")}
     chosen["denominator"] = "smith" if "masking" in parts else "tilt" if "tilt" in parts else "ashikhmin"
+    chosen["specular_spacing"] = fitted.material.specular_spacing
     chosen["fresnel_exponent"] = fitted.material.options["fresnel_exponent"]
     if lobes and isinstance(fitted.shared, DistributionShared):
         fitted = fitted.with_material(fitted.material.with_maps(specular=fitted.shared.specular))
