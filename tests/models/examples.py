@@ -34,6 +34,7 @@ EXAMPLE_OPTIONS: dict[str, list[dict]] = {
         {"lobes": 2, "parts": [part for part in DISTRIBUTION_PARTS if part != "masking"], "mask_channels": 3},
         {"lobes": 1, "parts": ["masking"]},
         {"lobes": 1, "parts": ["normal", "specular_mask", "fresnel", "rotation", "masking"]},
+        {"lobes": 2, "parts": ["normal", "rotation", "masking"], "specular_spacing": "dense"},
     ],
     "shading_map": [
         {"slices": 4, "brdf": "phong"}, {"slices": 2, "brdf": "table"},

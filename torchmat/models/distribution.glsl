@@ -16,9 +16,14 @@ mat3 frame_at(Place here) {
 }
 
 #if LOBES > 0
+const float SPOT = 1.0 / 256.0;  // where the texels of a dense map lie evenly: parabolic.py
+
 // The specular colour of a half vector in the texel's frame, from the parabolic maps.
 vec3 looked_up(Place here, vec3 local) {
   vec2 disc = local.xy / (1.0 + max(local.z, 0.0)) * vec2(1.0, -1.0);
+#ifdef SPECULAR_SPACING_DENSE
+  disc *= inversesqrt(sqrt(dot(disc, disc) + SPOT * SPOT));
+#endif
   vec2 texel = ((disc + 1.0) * float(textureSize(map_specular, 0).x) - 1.0) / 2.0;
 #if LOBES == 1
   return read_table(map_specular, texel, 0).rgb;

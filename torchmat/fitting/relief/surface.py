@@ -57,18 +57,28 @@ class Surface:
     window: Window | None = None
 
     def psnr_db(self, rows: Tensor, level: float, predict: Callable[[Tensor], Tensor]) -> float:
-        """Return the PSNR of what `predict` says of samples `rows`, after the display root, as far as white.
+        """Return the PSNR of what `predict` says of samples `rows`: see `agreement_db`."""
+        return self.agreement_db(rows, level, predict)[0]
 
-        `level` is the mean of the data, which says what is white. Texel by texel, which rounds alike on any number of threads.
+    def agreement_db(self, rows: Tensor, level: float, predict: Callable[[Tensor], Tensor]) -> tuple[float, float]:
+        """Return how well `predict` says what samples `rows` are, in dB: after the display root, as far as white, and relative.
+
+        `level` is the mean of the data, which says what is white. The second is of linear values, highlights and all: 20 is a
+        relative error of .01. Texel by texel, which rounds alike on any number of threads.
         """
         btf, white = self.training.btf, white_of(level)
         error, count = torch.zeros(btf.height, btf.width, dtype=torch.float64), 0.0
+        linear, power = torch.zeros_like(error), torch.zeros_like(error)
         for some in rows.split(max(1, _BLOCK_VALUES // (3 * btf.height * btf.width))):
             values, valid = self.values(some)
-            gap = shown(predict(some) / white, 0).clamp(max=1) - shown(values / white, 0).clamp(max=1)
+            found = predict(some)
+            gap = shown(found / white, 0).clamp(max=1) - shown(values / white, 0).clamp(max=1)
+            linear += ((found - values).square() * valid).sum(dim=(0, 1)).double()
+            power += (values.square() * valid).sum(dim=(0, 1)).double()
             error += (gap.square() * valid).sum(dim=(0, 1)).double()
             count += float(valid.sum()) * 3
-        return -10 * math.log10(max(float(error.sum()) / max(count, 1), 1e-12))
+        relative = float(linear.sum()) / max(float(power.sum()), 1e-30)
+        return _db(float(error.sum()) / max(count, 1)), _db(relative)
 
     def values(self, samples: slice | Tensor) -> tuple[Tensor, Tensor]:
         """Return values [k, 3, H, W] of some samples and what they count, [k, 1, H, W] in [0, 1]."""
@@ -81,6 +91,10 @@ class Surface:
     def shadow(self, samples: slice | range) -> Tensor:
         """Return how much light reaches each texel in some samples, [k, 1, H, W]."""
         return self.lit[self.training.btf.light_index[samples.start : samples.stop]]
+
+
+def _db(share: float) -> float:
+    return -10 * math.log10(max(share, 1e-12))
 
 
 def _space(shape: tuple[int, ...], dtype: DTypeLike) -> np.ndarray:

@@ -18,7 +18,7 @@ import torch.nn.functional as functional
 from torch import Tensor
 
 from torchmat.fitting.models.distribution.parameters import EXPONENT, Parts
-from torchmat.models.parabolic import DENSE, EVEN
+from torchmat.models.parabolic import DENSE, EVEN, respaced
 from torchmat.progress import whole
 from torchmat.repeatable import one_thread
 from torchmat.solvers import Minibatch
@@ -36,6 +36,7 @@ _KEPT_BACK, _MEASURED = 10, 200  # one sample in so many says what a part brings
 _ANGLES = 16  # of texels, which an even map is the mean over
 _FEWEST = 20  # samples that anything is decided by
 PRUNED = ("rotation", "fresnel")  # in the order in which they are taken out
+SPACING = "spacing"  # of the specular maps' texels, dense or even, which is decided before them
 Raw = dict[str, Tensor]
 
 
@@ -74,13 +75,14 @@ class Choice:
     def start(self, starts: dict[str, Tensor]) -> None:
         """Choose what is chosen before the fit, by short runs with one more part each."""
         if self.undecided and float(starts["width"].min()) < _SHARP:
-            self.trials.insert(0, lambda parts: replace(parts, spacing=DENSE))
+            self.parts = replace(self.parts, spacing=DENSE)
+            self.open.insert(0, SPACING)
         if not self.trials:
             return
         steps = self._steps(_PILOT)
         with whole("choosing parts", (len(self.trials) + 1) * steps, "fitting", show=self.fit.surface.training.progress) as bar:
             best = self._pilot(starts, self.parts, steps)
-            self.tried.append({**_told(self.parts), "psnr_db": best, "kept": True})
+            self.tried.append({"lobes": self.parts.lobes, "tilt": self.parts.tilt, "psnr_db": best, "kept": True})
             for trial in self.trials:
                 rival = trial(self.parts)
                 if rival == self.parts:
@@ -88,7 +90,7 @@ class Choice:
                     continue
                 found = self._pilot(starts, rival, steps)
                 kept = found > best + _GAIN_DB
-                self.tried.append({**_told(rival), "psnr_db": found, "kept": kept})
+                self.tried.append({"lobes": rival.lobes, "tilt": rival.tilt, "psnr_db": found, "kept": kept})
                 if kept:
                     self.parts, best = rival, found
 
@@ -98,14 +100,17 @@ class Choice:
         names = [name for name in self.open if not watch.spent]
         with whole("choosing parts", 2 * steps * len(names), "fitting", show=self.fit.surface.training.progress):
             for name in names:
-                parts = replace(self.parts, **{name: False})
+                parts = replace(self.parts, **({SPACING: EVEN} if name == SPACING else {name: False}))
                 ways = (raw, self.parts), (without(name, raw, self._grazing(raw)), parts)
                 until = watch.seconds + (watch.limit - watch.seconds) * _PILOTS_SHARE
                 for values, which in ways:
                     self.fit.solve(values, which, Minibatch(steps, self.fit.rate * 2 / 3), self.rest, until, None)
-                found = [self._psnr(values, which) for values, which in ways]
-                kept = not found[0] <= found[1] + _GAIN_DB
-                self.tried.append({"part": name, "psnr_db": found[0], "without": found[1], "kept": kept})
+                found = [self._agreement(values, which) for values, which in ways]
+                # A display clips highlights, which the second figure hardly sees anything but.
+                gains = [sum(db) / 2 for db in found]
+                kept = not gains[0] <= gains[1] + _GAIN_DB
+                told = {"part": name, "psnr_db": found[0][0], "without": found[1][0]}
+                self.tried.append({**told, "relative_db": found[0][1], "relative_without": found[1][1], "kept": kept})
                 raw, self.parts = ways[0] if kept else ways[1]
                 taken += steps
         self.open = []
@@ -120,22 +125,18 @@ class Choice:
         raw = self.fit.begin(starts, parts)
         # No pilot is noted: the curve is that of the fit.
         self.fit.solve(raw, parts, Minibatch(steps, self.fit.rate), self.rest, watch.seconds + watch.limit * _PILOTS_SHARE, None)
-        return self._psnr(raw, parts)
+        return self._agreement(raw, parts)[0]
 
-    def _psnr(self, raw: Raw, parts: Parts) -> float:
-        """Return the PSNR of samples that were kept back, after the display root."""
+    def _agreement(self, raw: Raw, parts: Parts) -> tuple[float, float]:
+        """Return how well samples that were kept back are told, in dB: after the display root, and of linear values."""
         surface = self.fit.surface
-        return surface.psnr_db(self.back[:_MEASURED], self.fit.level, lambda rows: self.fit.predict(raw, parts, surface, rows))
+        return surface.agreement_db(self.back[:_MEASURED], self.fit.level, lambda rows: self.fit.predict(raw, parts, surface, rows))
 
     def _grazing(self, raw: Raw) -> float:
         """Return the mean over the samples of Schlick's rise towards grazing."""
         btf = self.fit.surface.training.btf
         apart = 1 - (btf.light + btf.view).double().norm(dim=1) / 2
         return float(apart.clamp(min=0).pow(self.fit.exponent(raw)).mean())
-
-
-def _told(parts: Parts) -> dict[str, Any]:
-    return {"lobes": parts.lobes, "tilt": parts.tilt, "spacing": parts.spacing}
 
 
 def _of_lobes(lobes: int, parts: Parts) -> Parts:
@@ -145,6 +146,8 @@ def _of_lobes(lobes: int, parts: Parts) -> Parts:
 
 def without(name: str, raw: Raw, grazing: float) -> Raw:
     """Return parameters without a part, whose share the others take over as far as they can; `grazing` is Schlick's mean rise."""
+    if name == SPACING:
+        return {key: respaced(value.detach(), DENSE, EVEN) if key == "specular" else value.detach().clone() for key, value in raw.items()}
     gone = (name, EXPONENT) if name == "fresnel" else (name,)
     left = {key: value.detach().clone() for key, value in raw.items() if key not in gone}
     part = raw[name].detach()

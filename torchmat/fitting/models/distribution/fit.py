@@ -34,10 +34,10 @@ from torchmat.solvers.stop_reasons import DIVERGED, NOT_FINITE
 _BATCH_VALUES, _FEWEST_IMAGES = 49152, 4  # texels x images of one step
 _LEAST_GRADIENT = 1e-8 * 4096  # of a texel; the loss is a mean, so all gradients shrink with the number of texels
 _RATE = 0.06
-import os
-_SMOOTH = float(os.environ.get("SMOOTH", "0"))
-_SMALL = 0.1
 _ROUNDS = (1100, 900)  # steps before and after parts are decided
+# A texel that hardly a sample sees is like those beside it: a squared residual of the data's unit, 1 in display values of its
+# mean, weighs as much as three thousand differences of 1 between the logarithms of neighbours.
+_SMOOTH, _SMALL = 1e-4, 0.1
 _FEWER = {Adam: 4, LBFGS: 10}  # steps on all samples at once do so many times as much
 # Passes of the multiplicative start, and images of each. Only a hurried fit begins so: a whole one gets there by Adam, and
 # ends up to 0.3 dB better. With fewer values for each entry of a specular map the passes learn their noise.
@@ -89,9 +89,10 @@ def fit_distribution_on_relief(surface: Surface, height: Tensor, **options: Any)
 
 
 def roughness_of(log_specular: Tensor) -> Tensor:
-    """Return the sum of differences between neighbours, squared where they are small: noise counts, an edge does not much more."""
-    across, down = log_specular.diff(dim=-1), log_specular.diff(dim=-2)
-    return sum((torch.sqrt(one * one + _SMALL * _SMALL) - _SMALL).sum() for one in (across, down))
+    """Return the sum of the differences between neighbours, as their squares where they are small: a peak costs little more than noise."""
+    across, down = (torch.sqrt(one * one + _SMALL * _SMALL) - _SMALL for one in (log_specular.diff(dim=-1), log_specular.diff(dim=-2)))
+    # Dimension by dimension, which rounds alike on any number of threads.
+    return across.sum(dim=-1).sum(dim=-1).sum() + down.sum(dim=-1).sum(dim=-1).sum()
 
 
 @dataclass
@@ -256,6 +257,7 @@ class DistributionFit:
     ) -> Descent:
         """Change `raw` by `solver`, all texels and maps at once, on some `samples`; only what has a `watch` is noted."""
         surface, training = self.surface, self.surface.training
+        texels = training.btf.height * training.btf.width
 
         def objective(rows: Tensor | None) -> float:
             total, every = 0.0, samples if rows is None else rows
@@ -271,13 +273,12 @@ class DistributionFit:
                 loss.backward()
             if "specular" in raw:
                 with torch.enable_grad():
-                    rough = _SMOOTH * roughness_of(raw["specular"]) / (len(samples) * training.btf.height * training.btf.width)
-                total += float(rough.detach())
+                    rough = roughness_of(raw["specular"]) * (_SMOOTH / (len(samples) * texels))
                 rough.backward()
+                total += float(rough.detach())
             return total
 
         parameters = [value.requires_grad_() for value in raw.values()]
-        texels = training.btf.height * training.btf.width
         least = 1e-8 if training.shared is None else _LEAST_GRADIENT / texels
         found = solver.descend(Problem(
             parameters, objective, rates_of(raw), lambda generator: training.drawn(samples, generator), self._images,
