@@ -27,7 +27,7 @@ OPTIONS: dict[str, tuple[str, ...]] = {
     "shading_map": ("slices", "brdf", "overflow", "azimuths", "joint", "storage", "solver", "objective"),
     "distribution": (
         "lobes", "fresnel", "rotation", "tilt", "normal", "specular_mask", "specular_size", "effort", "solver",
-        "storage", "objective", "denominator", "fresnel_exponent",
+        "storage", "objective", "denominator", "fresnel_exponent", "specular_spacing",
     ),
     "neural": ("latent", "hidden", "layers", "effort", "storage", "solver", "objective"),
     "microfacet": (
