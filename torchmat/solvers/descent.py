@@ -17,6 +17,7 @@ from torch import Tensor
 
 from torchmat.progress import progress
 from torchmat.repeatable import one_thread
+from torchmat.solvers.adam_steps import AdamSteps
 from torchmat.solvers.clock import Watch
 from torchmat.solvers.stop_reasons import BUDGET, CONVERGED, DIVERGED, NOT_FINITE, STEP_LIMIT
 
@@ -124,8 +125,7 @@ def adam(
     watch = watch or Watch()
     best, first = _Best(parameters, watch, made), math.inf
     until = min(until, watch.limit)
-    groups = [{"params": [one], "lr": rate} for one, rate in zip(parameters, rates, strict=True)]
-    solver = torch.optim.Adam(groups, betas=_BETAS)
+    solver = AdamSteps(parameters, _BETAS)
     lowest: list[float] = []
     for step in progress(range(steps + 1), "fitting", show=show):
         _clear(parameters)
@@ -143,7 +143,7 @@ def adam(
         spent = watch.seconds >= until
         if step == steps or spent:
             return best.end(BUDGET if spent else STEP_LIMIT)
-        solver.step()
+        solver.step(rates)
         best.found.steps += 1
     return best.end(STEP_LIMIT)
 
@@ -164,8 +164,7 @@ def minibatch(
     best, running, first, begun = _Best(parameters, watch, made), None, math.inf, watch.seconds
     until = min(until, watch.limit)
     generator = torch.Generator().manual_seed(seed)
-    groups = [{"params": [one], "lr": 0.0, "rate": rate} for one, rate in zip(parameters, rates, strict=True)]
-    solver = torch.optim.Adam(groups, betas=_BETAS, eps=eps)
+    solver = AdamSteps(parameters, _BETAS, eps)
     order, place = draw(generator), 0
     batch, recent, known = min(batch, len(order)), deque[Tensor](maxlen=_LOOK), 0.0
     for step in progress(range(steps + 1), "fitting", show=show):
@@ -199,9 +198,7 @@ def minibatch(
         # Nothing but a limit of seconds may make the steps depend on the clock.
         done = step / steps if until == math.inf else max(step / steps, (watch.seconds - begun) / max(until - begun, 1e-9))
         share = min(1.0, (step + 1) / _WARM) * (_END + (1 - _END) * 0.5 * (1 + math.cos(math.pi * min(done, 1.0))))
-        for group in solver.param_groups:
-            group["lr"] = group["rate"] * share
-        solver.step()
+        solver.step([rate * share for rate in rates])
         best.found.steps += 1
     return best.end(STEP_LIMIT)
 
