@@ -29,9 +29,10 @@ CASES = {
         )
     },
     "neural": ("neural", {"geometry": "flat", "hidden": 12, "effort": 0.002}),
-    "microfacet": (
-        "microfacet", {"geometry": "flat", "effort": 0.01, "coat": False, "sheen": False, "f90": False, "layered": False},
-    ),
+    "microfacet": ("microfacet", {
+        "geometry": "flat", "effort": 0.01, "normal": True, "anisotropy": True, "rolloff": True,
+        **dict.fromkeys(("coat", "sheen", "f90", "layered"), False),
+    }),
     "phong_srf_no_ridge": ("phong_srf", {"residual": "half_light", "ridge": 0.0}),
 }
 
