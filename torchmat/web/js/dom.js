@@ -57,10 +57,13 @@ export function choice(options, chosen, changed) {
  */
 export function slider({ label, low, high, step, unit = "", value, changed, extra = null }) {
   const id = freshId();
-  const range = element("input", { type: "range", id, min: low, max: high, step, "aria-describedby": null });
+  const range = element("input", { type: "range", id, min: low, max: high, step });
   const typed = element("input", { type: "number", min: low, max: high, step: "any", "aria-label": `${label}${unit ? `, ${unit}` : ""}` });
   const decimals = step < 1 ? 2 : 1;
+  let current = null;
   const set = (next) => {
+    if (next === current) return;
+    current = next;
     const shown = String(Number(next.toFixed(decimals)));
     range.value = next;
     if (document.activeElement !== typed) typed.value = shown;
@@ -71,7 +74,11 @@ export function slider({ label, low, high, step, unit = "", value, changed, extr
     const next = typed.valueAsNumber;
     if (Number.isFinite(next) && next >= low && next <= high) changed(next);
   });
-  typed.addEventListener("blur", () => set(Number(range.value)));
+  typed.addEventListener("blur", () => {
+    const shown = current;
+    current = null;
+    set(shown);
+  });
   set(value);
   const row = element("div", { class: "tmv-row tmv-slider" }, element("label", { for: id }, label), range, typed, extra);
   return { row, set };

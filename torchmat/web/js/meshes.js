@@ -18,64 +18,75 @@ import { WITH_POLE, controlPoints, patchGrid } from "./teapot.js";
 export const SHAPES = ["quad", "cube", "sphere", "torus", "teapot"];
 
 class Builder {
-  constructor() {
-    this.position = [];
-    this.normal = [];
-    this.uv = [];
-    this.tangent = [];
-    this.faces = [];
+  constructor(vertices, quads) {
+    this.position = new Float32Array(3 * vertices);
+    this.normal = new Float32Array(3 * vertices);
+    this.uv = new Float32Array(2 * vertices);
+    this.tangent = new Float32Array(4 * vertices);
+    this.faces = new Uint32Array(6 * quads);
+    this.vertices = 0;
+    this.corners = 0;
   }
 
   vertex(position, normal, uv, tangent) {
-    this.position.push(...position);
-    this.normal.push(...normal);
-    this.uv.push(...uv);
-    this.tangent.push(...tangent, 1);
+    const at = this.vertices;
+    this.position.set(position, 3 * at);
+    this.normal.set(normal, 3 * at);
+    this.uv.set(uv, 2 * at);
+    this.tangent.set(tangent, 4 * at);
+    this.tangent[4 * at + 3] = 1;
+    this.vertices += 1;
+  }
+
+  triangle(a, b, c) {
+    this.faces.set([a, b, c], this.corners);
+    this.corners += 3;
   }
 
   grid(rows, columns, closedTop = false, closedBottom = false) {
-    const first = this.position.length / 3 - (rows + 1) * (columns + 1);
+    const first = this.vertices - (rows + 1) * (columns + 1);
     for (let row = 0; row < rows; row += 1) {
       for (let column = 0; column < columns; column += 1) {
         const corner = first + row * (columns + 1) + column;
-        if (!(closedBottom && row === 0)) this.faces.push(corner, corner + 1, corner + columns + 2);
-        if (!(closedTop && row === rows - 1)) this.faces.push(corner, corner + columns + 2, corner + columns + 1);
+        if (!(closedBottom && row === 0)) this.triangle(corner, corner + 1, corner + columns + 2);
+        if (!(closedTop && row === rows - 1)) this.triangle(corner, corner + columns + 2, corner + columns + 1);
       }
     }
   }
 
   mesh(name) {
-    return finished(name, {
-      position: new Float32Array(this.position), normal: new Float32Array(this.normal), uv: new Float32Array(this.uv),
-      tangent: new Float32Array(this.tangent), faces: new Uint32Array(this.faces),
-    });
+    const { position, normal, uv, tangent } = this;
+    return finished(name, { position, normal, uv, tangent, faces: this.faces.slice(0, this.corners) });
   }
 }
 
 function finished(name, parts) {
+  const { position } = parts;
   const low = [Infinity, Infinity, Infinity];
   const high = [-Infinity, -Infinity, -Infinity];
-  parts.position.forEach((value, index) => {
-    low[index % 3] = Math.min(low[index % 3], value);
-    high[index % 3] = Math.max(high[index % 3], value);
-  });
-  const centre = low.map((value, k) => (value + high[k]) / 2);
-  let radius = 0;
-  for (let at = 0; at < parts.position.length; at += 3) {
-    radius = Math.max(radius, Math.hypot(...centre.map((value, k) => parts.position[at + k] - value)));
+  for (let at = 0; at < position.length; at += 1) {
+    const k = at % 3;
+    if (position[at] < low[k]) low[k] = position[at];
+    if (position[at] > high[k]) high[k] = position[at];
   }
-  return { name, ...parts, centre, radius };
+  const centre = low.map((value, k) => (value + high[k]) / 2);
+  let squared = 0;
+  for (let at = 0; at < position.length; at += 3) {
+    const [x, y, z] = [position[at] - centre[0], position[at + 1] - centre[1], position[at + 2] - centre[2]];
+    squared = Math.max(squared, x * x + y * y + z * z);
+  }
+  return { name, ...parts, centre, radius: Math.sqrt(squared) };
 }
 
 function quad() {
-  const built = new Builder();
+  const built = new Builder(4, 1);
   for (const [u, v] of [[0, 0], [1, 0], [0, 1], [1, 1]]) built.vertex([u - 0.5, v - 0.5, 0], [0, 0, 1], [u, v], [1, 0, 0]);
   built.grid(1, 1);
   return built.mesh("quad");
 }
 
 function cube() {
-  const built = new Builder();
+  const built = new Builder(24, 6);
   // Tangent, bitangent and normal of +z, +x, -z, -x, +y, -y.
   const sides = [
     [[1, 0, 0], [0, 1, 0], [0, 0, 1]], [[0, 0, -1], [0, 1, 0], [1, 0, 0]], [[-1, 0, 0], [0, 1, 0], [0, 0, -1]],
@@ -95,8 +106,8 @@ function cube() {
 const turned = (step, steps) => [Math.cos((step % steps) / steps * 2 * Math.PI), Math.sin((step % steps) / steps * 2 * Math.PI)];
 
 function sphere(segments = 256) {
-  const built = new Builder();
   const rows = segments / 2;
+  const built = new Builder((rows + 1) * (segments + 1), rows * segments);
   for (let row = 0; row <= rows; row += 1) {
     const latitude = (row / rows - 0.5) * Math.PI;
     const pole = row === 0 || row === rows;
@@ -114,8 +125,8 @@ function sphere(segments = 256) {
 }
 
 function torus(segments = 240) {
-  const built = new Builder();
   const rows = segments / 3;
+  const built = new Builder((rows + 1) * (segments + 1), rows * segments);
   for (let row = 0; row <= rows; row += 1) {
     const angle = 2 * Math.PI * ((row % rows) / rows - 0.5);
     const [out, up] = [Math.cos(angle), row % rows === 0 ? 0 : Math.sin(angle)];
@@ -131,11 +142,12 @@ function torus(segments = 240) {
 }
 
 function teapot(segments = 32) {
-  const built = new Builder();
-  controlPoints().forEach((points, number) => {
+  const patches = controlPoints();
+  const built = new Builder(patches.length * (segments + 1) ** 2, patches.length * segments ** 2);
+  const add = (...vertex) => built.vertex(...vertex);
+  patches.forEach((points, number) => {
     const pole = WITH_POLE.has(number);
-    const patch = patchGrid(points, pole, segments);
-    patch.position.forEach((place, k) => built.vertex(place, patch.normal[k], patch.uv[k], patch.tangent[k]));
+    patchGrid(points, pole, segments, add);
     built.grid(segments, segments, pole);
   });
   return built.mesh("teapot");

@@ -61,61 +61,52 @@ function bernstein(t) {
   };
 }
 
-function combined(rows, columns, patch) {
-  const sum = [0, 0, 0];
-  for (let i = 0; i < 4; i += 1) {
-    for (let j = 0; j < 4; j += 1) {
-      const weight = rows[i] * columns[j];
-      for (let k = 0; k < 3; k += 1) sum[k] += weight * patch[i][j][k];
-    }
-  }
-  return sum;
-}
+const DIMENSIONS = [0, 1, 2];
+
+const summed = (w, a, b, c, d) => DIMENSIONS.map((k) => w[0] * a[k] + w[1] * b[k] + w[2] * c[k] + w[3] * d[k]);
+
+/** The sums over columns of a patch's points, [row][xyz], for the weights of one place along them. */
+const across = (points, weights) => points.map((row) => summed(weights, ...row));
+const down = (rows, weights) => summed(weights, ...rows);
 
 const unit = (v) => {
-  const length = Math.hypot(...v);
-  return v.map((one) => one / length);
+  const length = Math.hypot(v[0], v[1], v[2]);
+  return [v[0] / length, v[1] / length, v[2] / length];
 };
 const cross = (a, b) => [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
 const toScene = ([x, y, z]) => [x, z, -y];
-
-function placed(point) {
-  const scale = 2 / (HIGH[0] - LOW[0]);
-  return toScene(point).map((one, k) => (one - (LOW[k] + HIGH[k]) / 2) * scale);
-}
+const SCALE = 2 / (HIGH[0] - LOW[0]);
+const MIDDLE = DIMENSIONS.map((k) => (LOW[k] + HIGH[k]) / 2);
 
 /**
- * One patch as a grid of vertices, v = 0 first and u to the right seen from outside.
+ * The vertices of one patch, row by row: v = 0 first, and u to the right seen from outside.
  * @param {number[][][]} points control points of the patch
  * @param {boolean} pole whether its first row is a single point
  * @param {number} segments steps along each side
- * @returns {{position: number[][], normal: number[][], uv: number[][], tangent: number[][]}}
+ * @param {(position: number[], normal: number[], uv: number[], tangent: number[]) => void} add takes each vertex
  */
-export function patchGrid(points, pole, segments) {
+export function patchGrid(points, pole, segments, add) {
   const curve = Array.from({ length: segments + 1 }, (_, k) => bernstein(k / segments));
-  const found = { position: [], normal: [], uv: [], tangent: [] };
   // Rows and columns are read from the far end: so v rises on the body and u runs to the right.
+  const columns = curve.map(({ weight, slope }) => [across(points, weight), across(points, slope)]).reverse();
   for (let row = segments; row >= 0; row -= 1) {
+    const { weight, slope } = curve[row];
     const atPole = pole && row === 0;
-    for (let column = segments; column >= 0; column -= 1) {
-      const [r, c] = [curve[row], curve[column]];
-      const across = atPole ? combined(r.slope, c.slope, points) : combined(r.weight, c.slope, points);
-      found.position.push(placed(atPole ? points[0][0] : combined(r.weight, c.weight, points)));
-      found.normal.push(toScene(unit(cross(across, combined(r.slope, c.weight, points)))));
-      found.tangent.push(toScene(unit(across.map((one) => -one))));
-      found.uv.push([1 - column / segments, 1 - row / segments]);
-    }
-  }
-  if (pole) middlePole(found, segments);
-  return found;
-}
-
-// The one triangle of each column that meets a pole has its last corner there; it belongs in the column's middle.
-function middlePole(found, segments) {
-  const first = segments * (segments + 1);
-  for (let column = segments; column > 0; column -= 1) {
-    const [here, before] = [first + column, first + column - 1];
-    found.uv[here][0] -= 0.5 / segments;
-    found.tangent[here] = unit(found.tangent[here].map((one, k) => one + found.tangent[before][k]));
+    let before = null;
+    columns.forEach(([values, slopes], step) => {
+      // Where a row is a single point the direction along it has length 0; its limit is how it starts to grow.
+      const along = down(slopes, atPole ? slope : weight);
+      const place = toScene(atPole ? points[0][0] : down(values, weight));
+      const own = toScene(unit([-along[0], -along[1], -along[2]]));
+      let [tangent, u] = [own, step / segments];
+      if (atPole && before) {
+        // The one triangle of each column that meets a pole has its last corner there; it belongs in the column's middle.
+        tangent = unit([own[0] + before[0], own[1] + before[1], own[2] + before[2]]);
+        u -= 0.5 / segments;
+      }
+      before = own;
+      const normal = toScene(unit(cross(along, down(values, slope))));
+      add(DIMENSIONS.map((k) => (place[k] - MIDDLE[k]) * SCALE), normal, [u, 1 - row / segments], tangent);
+    });
   }
 }

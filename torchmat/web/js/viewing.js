@@ -43,7 +43,12 @@ export class Viewer extends Acts {
     this.build();
     this.pace = new Pace(this.context.gl, () => this.redraw(false));
     this.stopControls = attachControls(canvas, this);
-    this.resized = new ResizeObserver(() => this.redraw());
+    // Asked for once: to ask in every frame would lay the page out in every frame.
+    this.box = canvas.parentElement.getBoundingClientRect();
+    this.resized = new ResizeObserver(([entry]) => {
+      this.box = entry.contentRect;
+      this.redraw();
+    });
     this.resized.observe(canvas.parentElement);
     this.watched = new IntersectionObserver(([entry]) => {
       this.hidden = !entry.isIntersecting;
@@ -51,7 +56,10 @@ export class Viewer extends Acts {
     });
     this.watched.observe(canvas);
     this.scheme = matchMedia("(prefers-color-scheme: dark)");
-    this.recoloured = () => this.redraw();
+    this.recoloured = () => {
+      this.behind = null;
+      this.redraw();
+    };
     this.scheme.addEventListener("change", this.recoloured);
     this.context.onRestore(() => {
       this.pace.sync = null;
@@ -150,10 +158,9 @@ export class Viewer extends Acts {
 
   draw() {
     const { canvas } = this;
-    const box = canvas.parentElement.getBoundingClientRect();
     const dense = Math.min(devicePixelRatio || 1, MOST_PIXELS_PER_POINT);
     const share = this.pace.share();
-    const [columns, rows] = [box.width, box.height].map((side) => Math.max(1, Math.round(side * dense * share)));
+    const [columns, rows] = [this.box.width, this.box.height].map((side) => Math.max(1, Math.round(side * dense * share)));
     if (canvas.width !== columns || canvas.height !== rows) Object.assign(canvas, { width: columns, height: rows });
     this.scene.draw(this.picture(), columns, rows);
     this.pace.sent(share);
@@ -162,9 +169,10 @@ export class Viewer extends Acts {
   /** @returns {object} what Scene.draw takes */
   picture() {
     const { state } = this;
+    if (this.behind?.chosen !== state.background) this.behind = { chosen: state.background, colour: shownColour(state.background, this.canvas) };
     return {
       camera: new Camera(state.view), lights: state.lights, environment: state.environment, repeat: state.repeat,
-      exposure: state.exposure, background: shownColour(state.background, this.canvas),
+      exposure: state.exposure, background: this.behind.colour,
       soften: Boolean(this.description.bright_at_horizon),
     };
   }
