@@ -11,7 +11,7 @@ import os
 import sys
 import threading
 import time
-from collections.abc import Iterable, Iterator, Sized
+from collections.abc import Callable, Iterable, Iterator, Sized
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any, TextIO, TypeVar
@@ -67,6 +67,7 @@ class _Line:
         self.lock = threading.RLock()
         self.doing: list[Activity] = []
         self.session: TextIO | None = None  # the terminal of a command
+        self.always = False  # whether bars are shown where there is no terminal
         self.silent = False
         self.drawn, self.length, self.open = 0.0, 0, False
 
@@ -124,6 +125,20 @@ class _Line:
             self.silent = True
 
 
+class _Told(_Line):
+    """What is being done, told to a function instead of a terminal."""
+
+    def __init__(self, tell: Callable[[str, float | None], None]) -> None:
+        super().__init__()
+        self._tell, self.always = tell, True
+
+    def draw(self) -> None:
+        shown = next((one for one in reversed(self.doing) if one.ripe), None)
+        if shown is not None:
+            self.drawn = time.monotonic()
+            self._tell(shown.what, min(1.0, shown.done / shown.total) if shown.total else None)
+
+
 _LINE = _Line()
 
 
@@ -166,7 +181,7 @@ def _is_terminal(stream: Any) -> bool:
 
 
 def _shown(show: bool | None) -> bool:
-    return not _LINE.silent and (_is_terminal(_LINE.stream) if show is None else show)
+    return not _LINE.silent and ((_LINE.always or _is_terminal(_LINE.stream)) if show is None else show)
 
 
 @contextmanager
@@ -198,6 +213,17 @@ def announced(what: str) -> Iterator[None]:
         _LINE.end(root)
         _LINE.clear()
         _LINE.session, _LINE.open = None, False
+
+
+@contextmanager
+def told(tell: Callable[[str, float | None], None]) -> Iterator[None]:
+    """Call `tell` with what is being done until the end, and which share of it is done, None where nobody knows."""
+    global _LINE
+    before, _LINE = _LINE, _Told(tell)
+    try:
+        yield
+    finally:
+        _LINE = before
 
 
 def progress(
@@ -257,7 +283,7 @@ def working(what: str, show: bool | None = None) -> Iterator[None]:
 
 def in_command() -> bool | None:
     """Return what `show` is where only a command shows progress: None within one, else False."""
-    return None if _LINE.session is not None else False
+    return None if _LINE.session is not None or _LINE.always else False
 
 
 @contextmanager

@@ -40,6 +40,9 @@ class Here:
             raise value
         return Answer(value, notices)
 
+    def start(self) -> None:
+        """As of a process."""
+
     def stop(self) -> None:
         """As of a process."""
 
@@ -113,7 +116,7 @@ def served(folder: Path, others: tuple[str, ...] = (), btf: str | None = None):
     place = place_of(folder)
     listening = serve._bound(None)
     port = listening.getsockname()[1]
-    live = Live(place, Here(folder=str(place.folder), others=others), list(others), btf)
+    live = Live(place, Here(folder=str(place.folder), others=others), list(others), btf, Here(folder=str(place.folder), btf=btf) if btf else None)
     server = uvicorn.Server(serve.config_of(application(live, port, TOKEN)))
     live.failed = lambda: setattr(server, "should_exit", True)
     problems: queue.Queue[BaseException] = queue.Queue()

@@ -113,6 +113,11 @@ def shown_samples(btf: Btf, result: FitResult) -> list[Shown]:
     return [shown(btf, result.material, sample, why, known) for why, sample in telling_samples(btf, result)]
 
 
+def nearest_sample(btf: Btf, light: Tensor, view: Tensor) -> int:
+    """Return the number of the photograph whose light and view lie nearest to two unit vectors [3]: by the sum of both cosines."""
+    return int((btf.light.double() @ light.double() + btf.view.double() @ view.double()).argmax())
+
+
 def shown(btf: Btf, material: Material, sample: int, why: str, known: Measured | None = None) -> Shown:
     """Return one photograph beside what a material makes of it; `known` is what its fit saw, None for not saying so."""
     row = torch.tensor([sample])

@@ -20,6 +20,7 @@ from torchmat.errors import TorchmatError
 from torchmat.studio.guard import MOST_MESSAGE, Guard
 from torchmat.studio.live import Live
 from torchmat.studio.wishes import Wishes
+from torchmat.web.bundle import bundle
 
 LOG = logging.getLogger("torchmat.studio")
 _AT_ONCE = 8  # wishes of one page that are worked on; the next one waits
@@ -50,7 +51,9 @@ def shipped() -> dict[str, bytes]:
     """Return the files of the page by name: the only ones that are ever sent."""
     folder = files("torchmat.web")
     found = {one.name: one for place in (folder, folder / "js") for one in place.iterdir() if one.is_file()}
-    return {name: one.read_bytes() for name, one in found.items() if name.endswith((*_SUFFIXES, ".html", ".glsl"))}
+    whole = {name: one.read_bytes() for name, one in found.items() if name.endswith((*_SUFFIXES, ".html", ".glsl"))}
+    # As one script: modules that load each other are found one after the other.
+    return {**whole, "studio.js": bundle("studio").encode()}
 
 
 class Pages:

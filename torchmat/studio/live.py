@@ -19,13 +19,17 @@ from torchmat.studio.watch import QUIET, TRIES, Watch
 from torchmat.studio.worker import Worker
 
 LOG = logging.getLogger("torchmat.studio")
+_PATIENCE = 5.0  # seconds that are left to the first picture, at most
 _MOST_WAITING = 500  # messages that wait for a page; one that takes none is let go
 
 
 class Live:
     """One material in its `place`, read by `worker`; `btf` and `others` are what it can be compared and blended with."""
 
-    def __init__(self, place: Place, worker: Worker, others: list[str], btf: str | None) -> None:
+    def __init__(
+        self, place: Place, worker: Worker, others: list[str], btf: str | None, measuring: Worker | None = None
+    ) -> None:
+        self.measuring = measuring  # what compares with the images, which takes longer than saves may wait
         self.place, self.worker, self.others, self.btf = place, worker, others, btf
         self.failure: TorchmatError | None = None  # of a material that could not be shown at all
         self.failed: Callable[[], None] = lambda: None  # called then
@@ -36,6 +40,7 @@ class Live:
         self.pictures: dict[str, bytes] = {}  # of the last comparison
         self.pages: set[asyncio.Queue[dict[str, Any] | None]] = set()
         self.ready = asyncio.Event()
+        self.drawn = asyncio.Event()  # a page has drawn a picture
         self.writing = asyncio.Lock()  # one change of the folder at a time
         self.watch: Watch | None = None
         self._tasks: set[asyncio.Task[Any]] = set()
@@ -86,10 +91,15 @@ class Live:
         """Show what was kept of the last session, if the files are still those, read the folder, and follow it."""
         self.watch = Watch(self.place.folder, self.files)
         found = await asyncio.to_thread(kept, self.place.own, self.place.folder)
-        if found is not None:
+        if found is None:
+            self.worker.start()
+        else:
             self.shown.put(*found)
             self.ready.set()
         await self.remember("opened")
+        if found is not None:  # the first picture has the processor for itself
+            with contextlib.suppress(TimeoutError):
+                await asyncio.wait_for(self.drawn.wait(), _PATIENCE)
         await self.reload()
         self.start(Follower(self, self.watch).run())
 

@@ -119,16 +119,18 @@ def _run(place, lock, listening: socket.socket, btf: str | None, others: list[st
     print(f"studio     {address}", flush=True)
     print("           Ctrl-C ends it", flush=True)
     worker = Worker(folder=str(place.folder), others=others)
+    measuring = None if btf is None else Worker(folder=str(place.folder), btf=btf)
     try:
         _show(address, browser)
-        failed = _serve(place, worker, listening, port, token, btf, others)
+        failed = _serve(place, (worker, measuring), listening, port, token, btf, others)
     finally:
-        worker.stop()
+        for one in filter(None, (worker, measuring)):
+            one.stop()
     if failed is not None:
         raise failed
 
 
-def _serve(place, worker, listening: socket.socket, port: int, token: str, btf, others) -> TorchmatError | None:
+def _serve(place, workers, listening: socket.socket, port: int, token: str, btf, others) -> TorchmatError | None:
     """Answer until Ctrl-C; return what was wrong with the material, if it could not be shown at all."""
     import uvicorn
 
@@ -136,7 +138,7 @@ def _serve(place, worker, listening: socket.socket, port: int, token: str, btf, 
     from torchmat.studio.live import Live
 
     _log_to_stderr()
-    live = Live(place, worker, others, btf)
+    live = Live(place, workers[0], others, btf, workers[1])
     server = uvicorn.Server(config_of(application(live, port, token)))
     live.failed = lambda: setattr(server, "should_exit", True)
     server.run(sockets=[listening])

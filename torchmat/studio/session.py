@@ -13,6 +13,7 @@ from torchmat.material_io.choose_file import choose_file
 from torchmat.material_io.read_folder import load_material, read_manifest, reread
 from torchmat.models import Material
 from torchmat.models.blend import blend
+from torchmat.studio.measured import Measured
 from torchmat.studio.place import check_links
 from torchmat.studio.quick import quick_map
 from torchmat.studio.textures import textures_of
@@ -25,15 +26,17 @@ Map = tuple[dict[str, Any], bytes]
 class Session:
     """The material of a `folder`, as its textures held it when they were last read whole.
 
-    `others` are folders of materials that it may be blended with.
+    `others` are folders of materials that it may be blended with, `btf` the images that it is compared with.
     """
 
-    def __init__(self, folder: str, others: Sequence[str] = ()) -> None:
+    def __init__(self, folder: str, others: Sequence[str] = (), btf: str | None = None) -> None:
         self.folder = Path(folder)
+        self._measured = None if btf is None else Measured(btf, self.folder)
         self._others = list(others)
         self._material: Material | None = None
         self._manifest: dict[str, Any] = {}
         self._entries: dict[str, dict[str, Any]] = {}  # of the maps as they were last read
+        self._read_as: dict[str, Any] = {}
         self._stale: set[str] = set()  # maps that were saved since the material was read
         self._blended: dict[int, Material] = {}
 
@@ -158,6 +161,25 @@ class Session:
         if number not in self._blended:
             self._blended[number] = load_material(self._others[number])
         return self._blended[number]
+
+    def beside(self, light: Sequence[float], view: Sequence[float]) -> dict[str, Any]:
+        """Return the measured pair nearest to two directions beside the material in the folder (`Measured.beside`)."""
+        assert self._measured is not None
+        return self._measured.beside(self._whole(), light, view)
+
+    def held_out(self) -> dict[str, Any]:
+        """Return the figures of the material in the folder on the pairs that its fit held out (`Measured.held_out`)."""
+        assert self._measured is not None
+        return self._measured.held_out(self._whole())
+
+    def _whole(self) -> Material:
+        """Return the material in the folder, read anew if anything in it changed."""
+        manifest = read_manifest(self.folder)
+        state = {name: signature_of(self.folder / name) for name in ("manifest.json", *textures_of(manifest).values())}
+        if state != self._read_as:
+            self._material, self._manifest, self._read_as = load_material(self.folder), manifest, state
+            self._stale.clear()
+        return self.material
 
     def take_over(self, folder: str, maps: Sequence[str], record: dict[str, Any]) -> dict[str, Any]:
         """Write some maps of another material folder, such as a refit gave, into this one."""

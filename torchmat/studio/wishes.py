@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from torchmat.errors import RangeError, check_known_keys, check_option, message
+from torchmat.studio.jobs import Refit
 from torchmat.studio.live import Live
 from torchmat.studio.place import pictures_in
 from torchmat.studio.textures import manifest_in, textures_of
@@ -17,6 +18,7 @@ class Wishes:
 
     def __init__(self, live: Live) -> None:
         self._live = live
+        self._refit = Refit(live)
 
     async def fulfil(self, wish: Mapping[str, Any]) -> Any:
         """Do what a message asks for and return the answer; raises RangeError for what there is not."""
@@ -29,6 +31,10 @@ class Wishes:
         if missing:
             raise RangeError(message(f"studio {name}", "the message", f"have {', '.join(parameters)}", f"it lacks {missing[0]}"))
         return await method(**keywords)
+
+    async def drawn(self) -> None:
+        """Hear that the first picture is seen."""
+        self._live.drawn.set()
 
     async def preview(self, edits: Any, drop: Any = ()) -> None:
         """Show edits without writing them."""
@@ -74,6 +80,33 @@ class Wishes:
         """Keep what the page wants to know after a restart."""
         self._live.settings.remember(look)
         self._live.settings.save(self._live.place.own)
+
+    async def compare(self, light: Any, view: Any) -> dict[str, Any]:
+        """Make the pictures of the measured pair that lies nearest to two directions, and return their figures."""
+        found = self._live.noted(await self._measuring("beside", light=light, view=view))
+        self._live.pictures = found.pop("pictures")
+        return found
+
+    async def measure(self) -> dict[str, Any]:
+        """Return the figures of the material on the pairs that its fit held out."""
+        return self._live.noted(await self._measuring("held_out"))
+
+    async def _measuring(self, name: str, **keywords: Any) -> Any:
+        if self._live.measuring is None:
+            step = "Start the studio with --btf PATH."
+            raise RangeError(message("studio", "the images", "be there", "none were named", step))
+        return await self._live.measuring.call(name, **keywords)
+
+    async def refit(self, maps: Any, effort: Any = 1.0) -> None:
+        """Start to fit some maps anew."""
+        if not isinstance(maps, list) or not all(isinstance(one, str) and not one.startswith("-") for one in maps):
+            raise RangeError(message("studio refit", "the maps", "be a list of names", f"it is {maps!r}"))
+        _check_number("effort", effort, 1e-3, 100)
+        self._refit.start(maps, float(effort))
+
+    async def cancel(self) -> None:
+        """End the refit that is running."""
+        self._refit.cancel()
 
     async def undo(self) -> None:
         """Bring the folder into the state before."""

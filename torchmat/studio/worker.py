@@ -30,12 +30,21 @@ class Answer(NamedTuple):
 
 
 class Worker:
-    """A process with a `torchmat.studio.session.Session` of these keywords, started at once."""
+    """A process with a `torchmat.studio.session.Session` of these keywords, started by `start` or the first call."""
 
     def __init__(self, **session: Any) -> None:
         self._session = session
         self._thread = ThreadPoolExecutor(1, "worker")
-        self._process = self._start()
+        self._process: subprocess.Popen[bytes] | None = None
+
+    def start(self) -> None:
+        """Let the process start loading what it needs."""
+        self._thread.submit(self._running)
+
+    def _running(self) -> subprocess.Popen[bytes]:
+        if self._process is None:
+            self._process = self._start()
+        return self._process
 
     def _start(self) -> subprocess.Popen[bytes]:
         command = [sys.executable, "-m", "torchmat.studio.worker"]
@@ -51,15 +60,15 @@ class Worker:
 
     def wait_for(self, name: str, keywords: dict[str, Any]) -> Answer:
         """Do as `call`, and wait for it."""
-        process = self._process
+        process = self._running()
         assert process.stdin is not None and process.stdout is not None
         try:
             _send(process.stdin, (name, keywords))
             fine, value, notices = _receive(process.stdout)
         except (OSError, EOFError, ValueError) as error:
             code = process.wait()
-            self._process = self._start()
-            step = "It was started again; look at the file that was saved last."
+            self._process = None
+            step = "It is started again; look at the file that was saved last."
             raise DataError(message("studio", "the process that reads maps", "go on", f"it ended with {code}", step)) from error
         if not fine:
             raise value
@@ -67,10 +76,13 @@ class Worker:
 
     def stop(self) -> None:
         """End the process."""
-        self._process.kill()
-        self._process.wait()
         self._thread.shutdown(wait=False, cancel_futures=True)
-        for stream in (self._process.stdin, self._process.stdout):
+        process, self._process = self._process, None
+        if process is None:
+            return
+        process.kill()
+        process.wait()
+        for stream in (process.stdin, process.stdout):
             with contextlib.suppress(OSError):
                 stream.close() if stream is not None else None
 

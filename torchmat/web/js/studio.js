@@ -16,9 +16,19 @@ export async function start(root) {
   const { versions, ...data } = await fetchMaterial();
   const viewer = await mount(root, { data, live: true });
   live.show(viewer, versions);
+  const first = viewer.on("frame", () => {
+    first();
+    studioDrawn(live);
+  });
   viewer.addPanel("Saves and undo", historyPanel(live), { first: true });
   viewer.addPanel("Files", filesPanel(live), { open: false });
   return { live, viewer };
+}
+
+/** Say that the first picture is there: what is loaded after it waits for that. */
+function studioDrawn(live) {
+  window.torchmatDrawn = performance.now();
+  live.wish("drawn").catch(() => setTimeout(() => live.wish("drawn").catch(() => {}), 300));
 }
 
 const root = document.getElementById("torchmat-viewer");
