@@ -228,3 +228,20 @@ def test_help_explains_every_flag(command, capsys):
         said = " ".join(line.strip("│| ") for line in lines[at:end_of_it]).split(flag, 1)[1]
         # What tyro itself says of a flag stands in brackets; the words before them are ours.
         assert len(re.findall(r"[a-z]{2,}", said.split("(default")[0])) >= 2, said
+
+
+def test_edit_lets_another_file_of_the_folder_be_a_texture(tmp_path, capsys):
+    folder = saved(tmp_path / "wool", 4, 4, 1, ("normal",), storage="png8")
+    write_image(folder / "diffuse_blue.png", np.full((4, 4, 3), (0, 0, 255), np.uint8))
+    before = (folder / "diffuse.png").read_bytes()
+    assert run("edit", folder, "--file", "diffuse=diffuse_blue.png") == 0
+    diffuse = tm.load_material(folder).maps["diffuse"]
+    assert float(diffuse[2].min()) > 0 and float(diffuse[:2].max()) == 0
+    assert (folder / "diffuse.png").read_bytes() == before and "diffuse is" in capsys.readouterr().out
+    for wrong in ("diffuse=../x.png", "diffuse=none.png", "none=diffuse.png", "normal=diffuse_blue.png", "diffuse"):
+        assert run("edit", folder, "--file", wrong) == 2
+    assert run("edit", folder, "--file", "diffuse=diffuse.png", "--out", tmp_path / "other") == 2
+    assert torch.equal(tm.load_material(folder).maps["diffuse"], diffuse)
+    assert run("edit", folder, "--darken", 0.5) == 0
+    assert (folder / "diffuse_blue.png").exists()
+    assert_close(tm.load_material(folder).maps["diffuse"], diffuse / 2, 0.02)

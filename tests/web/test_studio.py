@@ -2,19 +2,29 @@
 
 from __future__ import annotations
 
+import time
+
+import numpy as np
 import pytest
+import torch
 from tests.studio.serving import served, wool
 
+import torchmat as tm
+from torchmat import colour
+from torchmat.create.edits import edited
 from torchmat.images import read_image, write_image
+from torchmat.models import blend
+from torchmat.rendering.nine_views import half_at, marks, nine_pairs
+from torchmat.web.payload import describe
 
 pytest.importorskip("uvicorn")
 
 
 def opened(chromium, studio, **settings):
-    page = chromium.open(**settings)
+    page = chromium.open(**{"width": 360, "height": 260, **settings})
     page.goto(studio.address)
     try:
-        page.wait_for_function("window.torchmat && window.torchmat.viewer.frames > 0", timeout=8000)
+        page.wait_for_function("window.torchmat && window.torchmat.viewer.frames > 0", timeout=40_000)
     except Exception:
         raise AssertionError(page.problems) from None
     return page
@@ -28,7 +38,7 @@ PIXEL = """async () => {
 
 
 def until(page, condition, argument=None):
-    page.wait_for_function(condition, arg=argument, timeout=10_000)
+    page.wait_for_function(condition, arg=argument, timeout=30_000)
 
 
 def test_a_save_changes_the_picture_and_half_a_file_does_not(chromium, tmp_path):
@@ -57,3 +67,113 @@ def test_a_save_changes_the_picture_and_half_a_file_does_not(chromium, tmp_path)
         red, _, blue = page.evaluate(PIXEL)
         assert red > blue + 60
         assert page.problems == []
+
+
+def open_panel(page, title):
+    page.evaluate("t => { [...document.querySelectorAll('summary')].find(one => one.textContent === t).parentElement.open = true; }", title)
+
+
+def test_nine_views_are_shade_at_their_pairs_and_their_marks_lead_back(chromium, tmp_path):
+    folder = wool(tmp_path / "wool", tilt="default")
+    with served(folder) as studio:
+        page = opened(chromium, studio)
+        open_panel(page, "Nine views")
+        page.evaluate("() => { const { nine } = window.torchmat; nine.turn('light', 25); nine.turn('view', 55); }")
+        until(page, "() => window.torchmat.nine.marked && !window.torchmat.nine.waiting.length")
+        found = page.evaluate("""() => window.torchmat.nine.pairs.map(({ light, view }, place) => {
+          const canvas = window.torchmat.nine.canvases[place];
+          return { light, view, codes: [...canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height).data] };
+        })""")
+        material = tm.load_material(folder)
+        for one, light, view in zip(found, *nine_pairs(25, 55), strict=True):
+            assert np.allclose(one["light"], light) and np.allclose(one["view"], view)
+            with torch.no_grad():
+                value = material.shade(light.float()[:, None, None], view.float()[:, None, None])
+            codes = np.array(one["codes"]).reshape(16, 16, 4)[:, :, :3]
+            assert np.abs(codes - (colour.display(value) * 255).permute(1, 2, 0).numpy()).max() < 0.51
+        places = page.evaluate("""() => [...document.querySelectorAll('.tms-mark')].map(({ style }) => [parseFloat(style.left), parseFloat(style.top)])""")
+        expected = marks(*nine_pairs(25, 55)).numpy()
+        assert np.allclose(np.array(places) / 100, np.stack((expected[:, 0], 1 - expected[:, 1]), axis=1), atol=1e-4)
+        half = page.evaluate("""() => {
+          const { nine } = window.torchmat;
+          nine.choose(2);
+          nine.frame.scrollIntoView();
+          const box = nine.frame.getBoundingClientRect();
+          nine.frame.dispatchEvent(new MouseEvent("click", { clientX: box.left + 0.7 * box.width, clientY: box.top + 0.6 * box.height }));
+          return nine.pairs[2];
+        }""")
+        wanted = half_at(torch.tensor([[0.7, 0.4]], dtype=torch.float64))[0]
+        assert np.allclose(half["light"], wanted, atol=0.02) and half["light"] == half["view"]
+        page.get_by_role("button", name="Expand").click()
+        assert not page.is_visible(".tmv-side")
+        page.get_by_role("button", name="Panels").click()
+        assert page.is_visible(".tmv-side") and page.problems == []
+
+
+def test_controls_show_at_once_what_the_command_would_write_and_write_it(chromium, tmp_path):
+    folder = wool(tmp_path / "wool")
+    other = wool(tmp_path / "silk", specular=("soft", "rim"))
+    with served(folder, (str(other),)) as studio:
+        page = opened(chromium, studio)
+        for title in ("Controls", "Tilt curve", "Rotation: draw 360", "Blend"):
+            open_panel(page, title)
+        shown = "async () => { const e = window.torchmat.edits; while (e.asking) await e.asking; return e.edits; }"
+
+        def fill(label, value):
+            page.get_by_label(label).last.fill(str(value))
+
+        for label, value in (("Height scale", 0.08), ("Normals, times", 4), ("Darken", 0.3), ("Specular mask: contrast", 1.7),
+                             ("Specular mask: brightness", 0.2), ("Fresnel: brightness", -0.3)):
+            fill(label, value)
+        page.get_by_role("button", name="Default: 1").click()
+        page.evaluate("""() => {
+          const frame = document.querySelector('.tms-select:not(.tms-marks)');
+          frame.setPointerCapture = () => {};
+          frame.scrollIntoView();
+          const box = frame.getBoundingClientRect();
+          const at = (name, x, y) => frame.dispatchEvent(new PointerEvent(name, { clientX: box.left + x * box.width, clientY: box.top + y * box.height }));
+          at("pointerdown", 0.25, 0.25); at("pointermove", 0.5, 0.5); at("pointerup", 0.75, 0.75);
+        }""")
+        page.get_by_role("button", name="Draw 360").click()
+        edits = page.evaluate(shown)
+        assert edits["rotation"]["centres"] == [] and np.allclose(edits["rotation"]["region"], [0.25, 0.25, 0.75, 0.75], atol=0.01)
+        assert {name: value for name, value in edits.items() if name != "rotation"} == {
+            "height_scale": {"scale": 0.08}, "normal_strength": {"strength": 4}, "darken": {"share": 0.3}, "tilt": {"curve": "default"},
+            "mask": {"brightness": 0.2, "contrast": 1.7}, "fresnel": {"brightness": -0.3, "contrast": 0.1},
+        }
+        wanted = edited(tm.load_material(folder), edits)
+        assert studio.live.shown.buffers == describe(wanted).buffers
+        assert torch.equal(wanted.maps["tilt"].flatten().double(), (1 - torch.cos(torch.deg2rad(torch.arange(91.0, dtype=torch.float64)))).float().double())
+        page.get_by_role("button", name="Write into the folder").first.click()
+        until(page, "() => window.torchmat.edits.empty && document.querySelectorAll('.tms-states li').length > 1")
+        again = tm.load_material(folder)
+        for name, value in wanted.as_exported().maps.items():
+            assert torch.equal(again.maps[name], value), name
+        page.get_by_label("Weight").last.fill("0.25")
+        mixed = blend(again, tm.load_material(other), 0.25)
+        until(page, "n => window.torchmat.live.versions.specular > n", page.evaluate("window.torchmat.live.versions.specular"))
+        assert studio.live.shown.buffers == describe(mixed).buffers and page.problems == []
+
+
+def test_what_it_is_looked_at_with_comes_back_and_other_files_are_offered_by_their_names(chromium, tmp_path):
+    folder = wool(tmp_path / "wool")
+    (folder / "Diffuse_2.PNG").write_bytes((folder / "diffuse.png").read_bytes())
+    with served(folder) as studio:
+        page = opened(chromium, studio)
+        page.evaluate("window.torchmat.viewer.setMesh('torus'); window.torchmat.viewer.change((state) => { state.repeat = 3; })")
+        open_panel(page, "Files")
+        offered = page.evaluate("[...document.querySelector('[aria-label=\"File of diffuse\"]').options].map(one => one.value)")
+        assert offered == ["Diffuse_2.PNG", "diffuse.png"]
+        page.select_option("[aria-label='File of diffuse']", "Diffuse_2.PNG")
+        until(page, "() => document.querySelectorAll('.tms-states li').length > 1")
+        page.locator("[aria-label='Show saves of fresnel at once']").uncheck()
+        deadline = time.monotonic() + 10
+        while studio.live.settings.look.get("state", {}).get("repeat") != 3 or studio.live.settings.still != ["fresnel"]:
+            assert time.monotonic() < deadline
+            time.sleep(0.05)
+    with served(folder) as studio:
+        page = opened(chromium, studio)
+        until(page, "() => window.torchmat.viewer.state.mesh === 'torus' && window.torchmat.viewer.state.repeat === 3")
+        open_panel(page, "Files")
+        assert page.locator("[aria-label='File of diffuse']").input_value() == "Diffuse_2.PNG"
+        assert not page.locator("[aria-label='Show saves of fresnel at once']").is_checked() and page.problems == []

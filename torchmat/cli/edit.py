@@ -49,6 +49,8 @@ class Edit:
     """With --index: seed of the search for its colours."""
     without: list[str] = field(default_factory=list)
     """Maps to leave out: normal, specular_mask, fresnel, rotation, tilt."""
+    file: list[str] = field(default_factory=list)
+    """Another file of the folder for a texture, from now on: diffuse=diffuse_blue.png; with a number where a map has several."""
     tiles: bool | None = None
     """Whether the surface repeats at its borders."""
     out: Path | None = None
@@ -62,7 +64,11 @@ class Edit:
         from torchmat.material_io import change_material
 
         edits = self._edits()
+        if self.file:
+            self._choose()
         if not edits and not self.without:
+            if self.file:
+                return
             step = "For example --height-scale 0.02; torchmat edit --help lists them."
             raise RangeError(message("edit", "the edits", "be at least one", "there is none", step))
 
@@ -80,6 +86,18 @@ class Edit:
         if done.backup is not None:
             print(f"backup     {done.backup}")
         print(f"material   {done.folder}")
+
+    def _choose(self) -> None:
+        """Let other files of the folder be textures."""
+        from torchmat.errors import RangeError, message
+        from torchmat.material_io.choose_file import choose_file
+
+        if self.out is not None:
+            raise RangeError(message("edit", "--file", "change the material itself", "--out names another", "Leave --out out."))
+        for text in self.file:
+            texture, _, file = text.partition("=")
+            choose_file(self.material, texture, file)
+            print(f"texture    {texture} is {Path(self.material) / file}")
 
     def _edits(self) -> dict[str, dict[str, Any]]:
         """Return the edits that were asked for, by name, with what they are given."""

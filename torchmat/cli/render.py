@@ -63,6 +63,9 @@ class Render:
     """Number of pictures of the object turning before the camera: a contact sheet and an animated PNG."""
     sweep: int = 0
     """Number of pictures under one light that goes round the view: a contact sheet and an animated PNG."""
+    nine: tuple[float, float] | None = None
+    """Polar angles of light and view, degrees: instead of objects, nine views of the patch round the hemisphere, as the studio
+    has them, and where their half vectors lie in the specular maps."""
     gif: bool = False
     """Animate as GIF, which has 255 colours a picture."""
     exposure: float = 1.0
@@ -94,9 +97,9 @@ class Render:
         shader = self._load()
         inside = (Path(self.material) / MANIFEST).is_file()
         folder = self.out or (Path(self.material) / "pictures" if inside else Path("pictures"))
-        if scene is not None:
-            with phase(f"rendering {self.scene}"):
-                written = self._of_scene(shader, scene, folder)
+        if scene is not None or self.nine is not None:
+            with phase(f"rendering {self.scene or 'nine views'}"):
+                written = self._nine(shader, folder) if scene is None else self._of_scene(shader, scene, folder)
             for path in written:
                 print(f"picture    {path}")
             return
@@ -127,6 +130,20 @@ class Render:
         target = folder / f"render_{self.scene.stem}.png"
         coverage = scene.visible(shader.dtype).coverage
         return write_picture(render(shader, scene), target, self.exposure, self.exr, coverage)
+
+    def _nine(self, shader, folder: Path) -> list[Path]:
+        from torchmat.errors import RangeError, message
+        from torchmat.models import Material
+        from torchmat.rendering.files import write_picture
+        from torchmat.rendering.nine_views import AZIMUTHS_DEG, marks, nine_pairs, nine_views
+
+        if not isinstance(shader, Material):
+            fact = f"it is a {type(shader).__name__}"
+            raise RangeError(message("render", "--nine", "show a material", fact, "Fit one, or render it on an object."))
+        assert self.nine is not None
+        for (light, view), place in zip(AZIMUTHS_DEG, marks(*nine_pairs(*self.nine)).tolist(), strict=True):
+            print(f"half       light from {light}, view from {view} degrees: u {place[0]:.3f}, v {place[1]:.3f}")
+        return write_picture(nine_views(shader, *self.nine), folder / "render_nine.png", self.exposure, self.exr)
 
     def _view(self, mesh: str) -> _Direction:
         usual = _FRONT if mesh in _SEEN_FROM_THE_FRONT else _THREE_QUARTER

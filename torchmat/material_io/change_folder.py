@@ -53,7 +53,7 @@ def change_material(
         fact = f"{before.name} of {before.size} becomes {after.name} of {after.size}"
         step = "Save it as another."
         raise RangeError(message(str(source), "the changed material", "keep its model and size", fact, step))
-    kept = _unchanged(before, after)
+    kept = unchanged(before, after)
     old = [entry for entry in manifest["textures"] if entry["map"] in before.maps]
     ours = manifest.get(DIGESTS, {})
     gone = {entry["file"] for entry in old if entry["map"] not in kept}
@@ -77,7 +77,7 @@ def change_material(
     return Changed(target, tuple(sorted(others)), tuple(sorted(written)), backup)
 
 
-def _unchanged(before: Material, after: Material) -> set[str]:
+def unchanged(before: Material, after: Material) -> set[str]:
     """Return the maps that are the same to the bit, and stored alike."""
     ways = [{spec.name: spec for spec in material.specs()} for material in (before, after)]
     return {

@@ -67,7 +67,7 @@ class Measured:
 
     def figures(self) -> dict[str, Any]:
         """Return the figures that the report of the fit has on held-out pairs; an empty table where it has none."""
-        found = next((self.report[part] for part in reversed(PARTS) if self.report.get(part)), {})
+        found: dict[str, Any] = next((self.report[part] for part in reversed(PARTS) if self.report.get(part)), {})
         return {name: found[name] for name in ("relative_error", "psnr_db", "ssim", "delta_e", "samples") if name in found}
 
     def held_out(self, material: Material) -> dict[str, Any]:

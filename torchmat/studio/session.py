@@ -9,6 +9,7 @@ from typing import Any
 from torchmat.create.edits import EDITS, edited, without
 from torchmat.errors import DataError, RangeError, TorchmatError, check_known_keys, message
 from torchmat.material_io import change_material
+from torchmat.material_io.change_folder import unchanged
 from torchmat.material_io.choose_file import choose_file
 from torchmat.material_io.read_folder import load_material, read_manifest, reread
 from torchmat.models import Material
@@ -35,7 +36,7 @@ class Session:
         self._others = list(others)
         self._material: Material | None = None
         self._manifest: dict[str, Any] = {}
-        self._entries: dict[str, dict[str, Any]] = {}  # of the maps as they were last read
+        self._maps: dict[str, Map] = {}  # as a page has them
         self._read_as: dict[str, Any] = {}
         self._stale: set[str] = set()  # maps that were saved since the material was read
         self._blended: dict[int, Material] = {}
@@ -57,8 +58,9 @@ class Session:
         check_links(self.folder, list(textures_of(manifest).values()))
         self._material, self._manifest = load_material(self.folder), manifest
         self._stale.clear()
+        self._maps = {}
         found = self.shown(self._material)
-        self._entries = {entry["name"]: entry for entry in found["description"]["maps"]}
+        self._maps = {entry["name"]: (entry, found["buffers"][entry["name"]]) for entry in found["description"]["maps"]}
         return found
 
     def now(self) -> dict[str, Any]:
@@ -66,9 +68,18 @@ class Session:
         return self.shown(self.current())
 
     def shown(self, material: Material) -> dict[str, Any]:
-        """Return what a page needs of a material."""
-        payload = describe(material)
+        """Return what a page needs of a material; what of it is the same as in the folder is not encoded again."""
+        payload = describe(material, self._known(material))
         return {"description": payload.description, "buffers": payload.buffers, "textures": textures_of(self._manifest)}
+
+    def _known(self, material: Material) -> dict[str, Map]:
+        if self._material is None:
+            return {}
+        same = unchanged(self._material, material) & self._maps.keys() - self._stale
+        follows = {"height", material.diffuse_map} & material.maps.keys()
+        if TRANSFER.name in self._maps and follows <= same:
+            same.add(TRANSFER.name)
+        return {name: self._maps[name] for name in same}
 
     def read(self, names: Sequence[str]) -> dict[str, Any]:
         """Read some maps again, and nothing else; return `maps` by name, and in `failed` what is wrong with others.
@@ -83,8 +94,7 @@ class Session:
             try:
                 check_links(self.folder, files)
                 before = [signature_of(self.folder / file) for file in files]
-                entry = self._entries.get(name)
-                quick = quick_map(self.folder, textures, entry) if entry is not None else None
+                quick = quick_map(self.folder, textures, self._maps[name][0]) if name in self._maps else None
                 if quick is None:
                     self._material = reread(self.folder, self._manifest, self.material, name)
                 if before != [signature_of(self.folder / file) for file in files]:
@@ -102,9 +112,9 @@ class Session:
         else:
             self._stale.add(name)
             found = {name: quick}
-        if TRANSFER.name in self._entries and name in ("height", self.material.diffuse_map):
+        if TRANSFER.name in self._maps and name in ("height", self.material.diffuse_map):
             found[TRANSFER.name] = map_of(self.current(), TRANSFER.name)
-        self._entries |= {key: entry for key, (entry, _) in found.items()}
+        self._maps |= found
         return found
 
     def current(self) -> Material:

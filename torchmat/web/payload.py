@@ -5,6 +5,7 @@ torchmat/web/README.md says what each entry is.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -35,14 +36,17 @@ def has_shader(material: Material) -> bool:
     return shader_of(type(material)) is not None
 
 
-def describe(material: Material) -> Payload:
+def describe(material: Material, known: Mapping[str, tuple[dict[str, Any], bytes]] | None = None) -> Payload:
     """Return what a page needs to draw a material as its textures hold it (`as_exported`).
+
+    `known` are maps that `map_of` has made before, and that are the same still.
 
     Raises RangeError where its model has no shader, or a map cannot be stored.
     """
     source, surface = source_of(material), material.surface()
     names = [spec.name for spec in material.specs() if not spec.constant]
-    maps = [map_of(material, name) for name in names + ([TRANSFER.name] if INDIRECT.name in material.maps else [])]
+    known = known or {}
+    maps = [known[name] if name in known else map_of(material, name) for name in names + ([TRANSFER.name] if INDIRECT.name in material.maps else [])]
     normal = surface.maps["normal"] if "normal" in surface.maps else None
     description = {
         "format": FORMAT, "version": VERSION, "model": material.name, "size": list(material.size), "whole_size": list(material.whole_size),

@@ -59,7 +59,7 @@ export function slider({ label, low, high, step, unit = "", value, changed, extr
   const id = freshId();
   const range = element("input", { type: "range", id, min: low, max: high, step });
   const typed = element("input", { type: "number", min: low, max: high, step: "any", "aria-label": `${label}${unit ? `, ${unit}` : ""}` });
-  const decimals = step < 1 ? 2 : 1;
+  const decimals = step < 0.01 ? 3 : step < 1 ? 2 : 1;
   let current = null;
   const set = (next) => {
     if (next === current) return;

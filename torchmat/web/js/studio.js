@@ -1,9 +1,19 @@
 // The studio's page: the viewer, live, and the studio's panels.
 
-import { Live, fetchMaterial } from "./studio_live.js";
+import { element } from "./dom.js";
+import { blendPanel } from "./studio_blend.js";
+import { comparePanel, refitPanel } from "./studio_compare.js";
+import { controlsPanel, editButtons } from "./studio_controls.js";
+import { Edits } from "./studio_edits.js";
 import { filesPanel } from "./studio_files.js";
 import { historyPanel } from "./studio_history.js";
+import { Live, fetchMaterial } from "./studio_live.js";
+import { nineViews } from "./studio_nine.js";
+import { rotationPanel } from "./studio_rotation.js";
+import { tiltPanel } from "./studio_tilt.js";
 import { mount } from "./viewer.js";
+
+const REMEMBERED = 1000; // milliseconds of rest until the way it is looked at is kept
 
 /**
  * Start the studio in an element of the page.
@@ -20,9 +30,69 @@ export async function start(root) {
     first();
     studioDrawn(live);
   });
-  viewer.addPanel("Saves and undo", historyPanel(live), { first: true });
+  const help = viewer.side.lastElementChild;
   viewer.addPanel("Files", filesPanel(live), { open: false });
-  return { live, viewer };
+  const studio = { live, viewer };
+  if (viewer.scene) {
+    studio.nine = nineViews(viewer);
+    addFolded(viewer, "Nine views", studio.nine.element, () => studio.nine.changed(0));
+    addExpand(viewer);
+  }
+  addEdits(studio);
+  const hello = await live.hello;
+  if (hello.others.length) addFolded(viewer, "Blend", blendPanel(live, hello.others));
+  if (hello.measured) {
+    addFolded(viewer, "Beside the BTF", comparePanel(viewer, live));
+    addFolded(viewer, "Fit maps anew", refitPanel(viewer, live));
+  }
+  viewer.addPanel("Saves and undo", historyPanel(live), { first: true });
+  viewer.side.append(help); // the keys come last
+  remember(live, viewer, hello.look);
+  return studio;
+}
+
+function addFolded(viewer, title, content, opened = () => {}) {
+  viewer.addPanel(title, content, { open: false }).addEventListener("toggle", (event) => event.target.open && opened());
+}
+
+/** The controls that change maps; only the artist's material has those. */
+function addEdits(studio) {
+  const { viewer, live } = studio;
+  if (viewer.description.model !== "distribution") return;
+  const said = element("p", { class: "tms-error", role: "status" });
+  studio.edits = new Edits(live, (error) => {
+    said.textContent = error?.message ?? "";
+  });
+  addFolded(viewer, "Controls", controlsPanel(studio.edits));
+  addFolded(viewer, "Tilt curve", tiltPanel(studio.edits));
+  addFolded(viewer, "Rotation: draw 360", rotationPanel(viewer, studio.edits));
+  viewer.addPanel("Edits", editButtons(studio.edits, said), { first: true });
+}
+
+/** A button that gives the picture all the room, and brings the rest back. */
+function addExpand(viewer) {
+  const button = element("button", { type: "button", class: "tms-expand", "aria-pressed": "false", onclick: () => {
+    const wide = viewer.root.classList.toggle("tms-expanded");
+    button.setAttribute("aria-pressed", String(wide));
+    button.textContent = wide ? "Panels" : "Expand";
+    viewer.redraw();
+  } }, "Expand");
+  viewer.canvas?.parentElement.append(button);
+}
+
+/** Bring back how the material was looked at, and keep how it is. */
+function remember(live, viewer, look) {
+  const kept = ({ mesh, view, lights, active, environment, repeat, exposure, background }) => (
+    { mesh, view, lights, active, environment, repeat, exposure, background });
+  if (look.state && viewer.scene) {
+    if (viewer.meshes.includes(look.state.mesh)) viewer.setMesh(look.state.mesh);
+    viewer.change((state) => Object.assign(state, kept({ ...state, ...look.state })));
+  }
+  let timer = 0;
+  viewer.on("change", () => {
+    clearTimeout(timer);
+    timer = setTimeout(() => live.wish("remember", { look: { state: kept(viewer.state) } }).catch(() => {}), REMEMBERED);
+  });
 }
 
 /** Say that the first picture is there: what is loaded after it waits for that. */

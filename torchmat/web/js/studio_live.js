@@ -41,6 +41,7 @@ export class Live {
     this.versions = {};
     this.wanted = new Map();
     this.fetching = new Set();
+    this.hello = new Promise((resolve) => this.on("hello", resolve)); // the first one
     this.connect();
   }
 

@@ -12,14 +12,15 @@ const SAMPLES = 3; // along each side of a pixel
  * the map's least to its largest value; of several layers the first nine.
  * @param {object} entry of the description
  * @param {ArrayBuffer} buffer its codes
+ * @param {number} side its longer side in pixels, at most
  * @returns {HTMLCanvasElement}
  */
-export function thumbnail(entry, buffer) {
+export function thumbnail(entry, buffer, side = SIDE) {
   const { height, width, transfer, kind } = entry;
   const canvas = document.createElement("canvas");
   const layers = kind === "rotation" ? 1 : Math.min(entry.layers, MOST_ACROSS ** 2);
   const across = Math.ceil(Math.sqrt(layers));
-  const scale = Math.min(1, SIDE / across / Math.max(height, width));
+  const scale = Math.min(1, side / across / Math.max(height, width));
   const [rows, columns] = [height, width].map((side) => Math.max(1, Math.round(side * scale)));
   canvas.width = across * columns;
   canvas.height = Math.ceil(layers / across) * rows;
