@@ -14,26 +14,33 @@ const LEAST_UP = Math.cos(84 * Math.PI / 180); // of a normal: what is steeper c
 export function normalsOf(height, [rows, columns], tiles, refinement) {
   const found = new Float32Array(3 * rows * columns);
   const neighbour = (place, size) => (tiles ? (place + size) % size : Math.min(Math.max(place, 0), size - 1));
-  for (let row = 0; row < rows; row += 1) {
-    const [above, here, below] = [row - 1, row, row + 1].map((one) => neighbour(one, rows) * columns);
-    for (let column = 0; column < columns; column += 1) {
-      const left = neighbour(column - 1, columns);
-      const right = neighbour(column + 1, columns);
-      let x = height[above + right] - height[above + left] + 2 * (height[here + right] - height[here + left]);
-      x = (x + height[below + right] - height[below + left]) * columns / 8;
-      let y = height[above + left] - height[below + left] + 2 * (height[above + column] - height[below + column]);
-      y = (y + height[above + right] - height[below + right]) * columns / 8;
-      const at = 3 * (here + column);
-      if (refinement) {
-        const [nx, ny, nz] = [refinement[at], refinement[at + 1], refinement[at + 2]];
+  const lefts = Int32Array.from({ length: columns }, (_, column) => neighbour(column - 1, columns));
+  const rights = Int32Array.from({ length: columns }, (_, column) => neighbour(column + 1, columns));
+  const scale = columns / 8;
+  for (let row = 0, at = 0; row < rows; row += 1) {
+    const above = neighbour(row - 1, rows) * columns;
+    const here = row * columns;
+    const below = neighbour(row + 1, rows) * columns;
+    for (let column = 0; column < columns; column += 1, at += 3) {
+      const left = lefts[column];
+      const right = rights[column];
+      // What one diagonal and the other rise by.
+      const first = height[above + right] - height[below + left];
+      const second = height[above + left] - height[below + right];
+      let x = scale * (first - second + 2 * (height[here + right] - height[here + left]));
+      let y = scale * (first + second + 2 * (height[above + column] - height[below + column]));
+      if (refinement !== null) {
+        const nx = refinement[at];
+        const ny = refinement[at + 1];
+        const nz = refinement[at + 2];
         const up = Math.max(nz, LEAST_UP * (Math.sqrt(nx * nx + ny * ny + nz * nz) || 1));
         x -= nx / up;
         y -= ny / up;
       }
-      const length = Math.sqrt(x * x + y * y + 1);
-      found[at] = -x / length;
-      found[at + 1] = -y / length;
-      found[at + 2] = 1 / length;
+      const shrink = 1 / Math.sqrt(x * x + y * y + 1);
+      found[at] = -x * shrink;
+      found[at + 1] = -y * shrink;
+      found[at + 2] = shrink;
     }
   }
   return found;
