@@ -95,8 +95,10 @@ vec2 placed(vec2 uv) {
 #endif
 }
 
-// The value at a point of the maps of one level: of relief_maps.glsl, or of flat.glsl.
-vec3 shade_level(vec2 uv, int level, vec3 light, vec3 view);
+// Of relief_maps.glsl, or of flat.glsl: which point of the maps of one level is seen through a point of the plane, whatever the light,
+// and the value there.
+vec2 seen_at(vec2 uv, int level, vec3 view);
+vec3 shade_seen(vec2 seen, int level, vec3 light, vec3 view);
 
 // The value at a point of the plane for unit light and view in its frame, between two levels of the maps.
 vec3 shade(vec2 uv, float level, vec3 light, vec3 view) {
@@ -106,7 +108,8 @@ vec3 shade(vec2 uv, float level, vec3 light, vec3 view) {
   float lower = floor(level), share = level - lower;
   vec3 found = vec3(0.0);
   for (int step = 0; step < (share > 0.0 ? 2 : 1); step++) {
-    found += (step == 0 ? 1.0 - share : share) * shade_level(uv, int(lower) + step, light, view);
+    int here = int(lower) + step;
+    found += (step == 0 ? 1.0 - share : share) * shade_seen(seen_at(uv, here, view), here, light, view);
   }
   return found;
 }

@@ -20,8 +20,11 @@ vec3 sent_at(Place here, vec3 light) {
 #endif
 }
 
-vec3 shade_level(vec2 uv, int level, vec3 light, vec3 view) {
-  vec2 hit = trace_view(uv, level, view);
-  Place here = around(hit, level);
-  return (shade_flat(here, light, view) * soft_shadow(hit, level, light) + sent_at(here, light)) * opacity_at(here);
+vec2 seen_at(vec2 uv, int level, vec3 view) {
+  return trace_view(uv, level, view);
+}
+
+vec3 shade_seen(vec2 seen, int level, vec3 light, vec3 view) {
+  Place here = around(seen, level);
+  return (shade_flat(here, light, view) * soft_shadow(seen, level, light) + sent_at(here, light)) * opacity_at(here);
 }

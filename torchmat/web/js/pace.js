@@ -1,28 +1,32 @@
-// How finely to draw while something moves: as finely as the graphics processor keeps up with, in full at rest.
+// How finely to draw: as finely as the graphics processor keeps up with while something moves, and at rest in full if that is not for ever.
 
-const SLOW = 45; // milliseconds of a picture above which the next one has fewer pixels
-const QUICK = 16;
+const MOVING = 30; // milliseconds that a picture may take while something moves
+const RESTING = 2000; // and at rest
 const LEAST = 0.25;
-const REST = 220; // milliseconds without a change until the full picture is drawn
+const REST = 220; // milliseconds without a change until the finest picture is drawn
+const LONGEST = 10000; // without an answer for so long no more is expected
+const POLL = 6;
+
+const shareFor = (most, whole) => Math.max(LEAST, Math.min(1, Math.sqrt(most / whole)));
 
 /** Watches how long pictures take. */
 export class Pace {
-  /** @param {WebGL2RenderingContext} gl @param {() => void} rested called when a full picture is due */
+  /** @param {WebGL2RenderingContext} gl @param {() => void} rested called when the finest picture is due */
   constructor(gl, rested) {
     this.gl = gl;
     this.rested = rested;
-    this.scale = 0.6;
+    this.whole = 2.5 * MOVING; // milliseconds of a picture in full: a guess until the first was timed
     this.moving = false;
     this.sync = null;
-    this.timer = 0;
-    this.coarse = true; // whether what is seen has fewer pixels than the screen
+    this.sentShare = 0;
+    this.timers = {};
   }
 
   /** Something changed: coarse pictures will do until it rests. */
   stir() {
     this.moving = true;
-    clearTimeout(this.timer);
-    this.timer = setTimeout(() => {
+    clearTimeout(this.timers.rest);
+    this.timers.rest = setTimeout(() => {
       this.moving = false;
       if (this.coarse) this.rested();
     }, REST);
@@ -30,37 +34,49 @@ export class Pace {
 
   /** @returns {number} the factor on the pixels' number along a side of the next picture */
   share() {
-    return this.moving ? this.scale : 1;
+    return shareFor(this.moving ? MOVING : RESTING, this.whole);
+  }
+
+  /** @returns {boolean} whether what is seen is coarser than it will be at rest */
+  get coarse() {
+    return this.sentShare < 0.95 * shareFor(RESTING, this.whole);
   }
 
   /** A picture was sent off, of so much of the pixels along a side. */
   sent(share) {
-    this.coarse = share < 1;
-    this.sentShare = share;
-    this.sentAt = performance.now();
-    if (this.sync) this.gl.deleteSync(this.sync);
+    this.forget();
+    Object.assign(this, { sentShare: share, sentAt: performance.now() });
     this.sync = this.gl.fenceSync(this.gl.SYNC_GPU_COMMANDS_COMPLETE, 0);
     this.gl.flush();
+    this.poll();
   }
 
-  /** @returns {boolean} whether the last picture is still being drawn; once it is not, the scale follows its time */
+  /** @returns {boolean} whether the last picture is still being drawn */
   busy() {
     const { gl, sync } = this;
     if (!sync) return false;
     const late = performance.now() - this.sentAt;
-    if (gl.clientWaitSync(sync, 0, 0) === gl.TIMEOUT_EXPIRED && late < 5000) return true;
-    gl.deleteSync(sync);
-    this.sync = null;
-    if (this.sentShare === this.scale || late > SLOW) {
-      if (late > SLOW) this.scale = Math.max(LEAST, Math.min(this.scale, this.sentShare) * Math.max(0.5, Math.sqrt(SLOW / late)));
-      else if (late < 2 * QUICK) this.scale = Math.min(1, this.scale * 1.15);
-    }
+    if (gl.clientWaitSync(sync, 0, 0) === gl.TIMEOUT_EXPIRED && late < LONGEST) return true;
+    this.forget();
+    this.whole = Math.max(1, (this.whole + late / this.sentShare ** 2) / 2);
     return false;
   }
 
-  stop() {
-    clearTimeout(this.timer);
+  // Asked for until it is there, and no longer: how long it took would else be told when somebody comes back.
+  poll() {
+    this.timers.poll = setTimeout(() => {
+      if (this.busy()) this.poll();
+    }, POLL);
+  }
+
+  forget() {
+    clearTimeout(this.timers.poll);
     if (this.sync) this.gl.deleteSync(this.sync);
     this.sync = null;
+  }
+
+  stop() {
+    clearTimeout(this.timers.rest);
+    this.forget();
   }
 }

@@ -45,6 +45,16 @@ float scene_level(vec3 away, float facing) {
   return max(log2(max(width * perLength * scene_repeat / max(facing, 0.05) * scene_texels, 1e-30)), 0.0);
 }
 
+vec3 scene_lit(int k, vec2 seen, int level, vec3 view, mat3 frame) {
+  vec3 way = scene_light[k].xyz - scene_light[k].w * scene_place;
+  float squared = dot(way, way);
+  vec3 light = squared > 0.0 ? (way * inversesqrt(squared)) * frame : vec3(0.0);
+  if (light.z <= 0.0) return vec3(0.0);
+  // Models that stay bright up to the horizon end there in a hard arc: they fade over the last ten degrees.
+  float fade = scene_flattest > 0.0 ? min(light.z / scene_flattest, 1.0) : 1.0;
+  return shade_seen(seen, level, light, view) * scene_shine[k] * (fade / (scene_light[k].w > 0.0 ? squared : 1.0));
+}
+
 void main() {
   mat3 frame = scene_frame();
   vec3 away = scene_eye.xyz - scene_eye.w * scene_place;
@@ -52,14 +62,15 @@ void main() {
   vec2 uv = scene_uv * scene_repeat;
   float level = scene_level(away, view.z);
   vec3 sum = vec3(0.0);
-  for (int k = 0; k < scene_lights; k += 1) {
-    vec3 way = scene_light[k].xyz - scene_light[k].w * scene_place;
-    float squared = dot(way, way);
-    vec3 light = squared > 0.0 ? (way * inversesqrt(squared)) * frame : vec3(0.0);
-    if (light.z <= 0.0 || view.z <= 0.0) continue;
-    // Models that stay bright up to the horizon end there in a hard arc: they fade over the last ten degrees.
-    float fade = scene_flattest > 0.0 ? min(light.z / scene_flattest, 1.0) : 1.0;
-    sum += shade(uv, level, light, view) * scene_shine[k] * (fade / (scene_light[k].w > 0.0 ? squared : 1.0));
+  if (view.z > 0.0) {
+    // As the material's shade, but that what is seen through the relief is found once for all lights.
+    float most = min(level, float(LEVELS - 1)), lower = floor(most);
+    for (int upper = 0; upper < (most > lower ? 2 : 1); upper += 1) {
+      int at = int(lower) + upper;
+      vec2 seen = seen_at(placed(uv), at, view);
+      float share = upper == 0 ? 1.0 - (most - lower) : most - lower;
+      for (int k = 0; k < scene_lights; k += 1) sum += share * scene_lit(k, seen, at, view, frame);
+    }
   }
   float opaque = view.z > 0.0 ? cover(uv, level) : 1.0;
   scene_shown = vec4(scene_encoded(sum * scene_exposure + scene_background * (1.0 - opaque)), 1.0);

@@ -62,7 +62,7 @@ export class Viewer extends Acts {
     };
     this.scheme.addEventListener("change", this.recoloured);
     this.context.onRestore(() => {
-      this.pace.sync = null;
+      this.pace.forget();
       this.redraw();
     });
   }
