@@ -1,7 +1,7 @@
 // How finely to draw: as finely as the graphics processor keeps up with while something moves, and at rest in full if that is not for ever.
 
 const MOVING = 30; // milliseconds that a picture may take while something moves
-const RESTING = 2000; // and at rest
+const RESTING = 3000; // and at rest
 const LEAST = 0.25;
 const REST = 220; // milliseconds without a change until the finest picture is drawn
 const LONGEST = 10000; // without an answer for so long no more is expected
@@ -17,6 +17,7 @@ export class Pace {
     this.rested = rested;
     this.whole = 2.5 * MOVING; // milliseconds of a picture in full: a guess until the first was timed
     this.moving = false;
+    this.timed = false;
     this.sync = null;
     this.sentShare = 0;
     this.timers = {};
@@ -58,7 +59,10 @@ export class Pace {
     const late = performance.now() - this.sentAt;
     if (gl.clientWaitSync(sync, 0, 0) === gl.TIMEOUT_EXPIRED && late < LONGEST) return true;
     this.forget();
-    this.whole = Math.max(1, (this.whole + late / this.sentShare ** 2) / 2);
+    // The first picture waits for its shader: that says nothing of those to come.
+    if (this.timed) this.whole = Math.max(1, (this.whole + late / this.sentShare ** 2) / 2);
+    this.timed = true;
+    if (!this.moving && this.coarse) this.rested();
     return false;
   }
 
