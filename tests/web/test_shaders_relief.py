@@ -78,6 +78,14 @@ def test_normals_of_the_height_alone(drawing):
         assert relative_error(drawing.evaluate(light, view, material.size), material.shade(light, view)) < RELIEF
 
 
+def test_models_know_whether_their_normals_are_those_of_the_height():
+    kept = {name: one for name, one in make_maps("lambert", {}, 6, 5, torch.float32).items() if name != "normal"}
+    of_height = MATERIALS["lambert"]({**kept, "height": bumps(6, 5)}, normals="height")
+    materials = [on_bumps(name, options, (6, 5)) for name, options in _OPTIONS.items()]
+    for material in (of_height, *materials, *(one.without_relief() for one in materials)):
+        assert material.derives_normal == Material.derives_normal.fget(material), material.name  # as the pictures are made
+
+
 def points(count: int = 12) -> tuple[Tensor, Tensor, Tensor]:
     """Return uv [2, h, w] within and beyond the texture, and lights and views [3, h, w]."""
     light, view = (directions(count * count, torch.float32, seed, lowest=0.2).T.reshape(3, count, count) for seed in (8, 9))

@@ -247,6 +247,12 @@ class Material(Storable):
         """Return the material without its relief and opacity: what one texel does with its light."""
         return self.sharing({spec.name: self.maps[spec.name] for spec in self.own_specs()})
 
+    @property
+    def derives_normal(self) -> bool:
+        """Whether the normals of `surface` are made of the height."""
+        normal = self.surface().maps.get("normal") if self.has_relief else None
+        return normal is not None and normal is not self.maps.get("normal")
+
     def from_surface(self, maps: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """Return the own maps of the material for `maps` of its `surface`: without what its height alone says."""
         return {name: value for name, value in maps.items() if name in self.maps}

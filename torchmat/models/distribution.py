@@ -147,6 +147,10 @@ class Distribution(Material):
         """Return a flat material of these very tensors whose Fresnel's exponent [1] a gradient reaches."""
         return self._unchecked(dict(self.maps), options={**self.options, "fresnel_exponent": exponent})
 
+    @property
+    def derives_normal(self) -> bool:
+        return self.has_relief
+
     def from_surface(self, maps: Mapping[str, Tensor]) -> dict[str, Tensor]:
         found = super().from_surface(maps)
         if self.has_relief and "normal" in found:

@@ -70,6 +70,10 @@ class Lambert(Material):
         normal = normals_from_slopes(slopes_from_height(self.maps["height"], tiles=self.tiles))
         return flat._unchecked({**flat.maps, "normal": normal}, options={**self.options, "normals": "map"})
 
+    @property
+    def derives_normal(self) -> bool:
+        return self.options["normals"] == "height"
+
     def value(self, light: Tensor, view: Tensor) -> Tensor:
         normal = safe.normalise(self.maps["normal"])  # interpolation and integer codes shorten it
         n_dot_l = combine(light, normal[:, None])

@@ -115,6 +115,10 @@ class Microfacet(Material):
         parts = [part for part in MICROFACET_PARTS if part in (*self.options["parts"], "normal")]
         return flat._unchecked({**flat.maps, "normal": normals_from_slopes(slopes)}, options={**self.options, "parts": parts})
 
+    @property
+    def derives_normal(self) -> bool:
+        return self.has_relief
+
     def from_surface(self, maps: Mapping[str, Tensor]) -> dict[str, Tensor]:
         found = super().from_surface(maps)
         if self.has_relief and "normal" in found:

@@ -51,11 +51,10 @@ def defines_of(material: Material) -> dict[str, str]:
     An option `terms` of 9 is TERMS 9, `space` of "srgb" SPACE_SRGB, `parts` of ["coat"] PARTS_COAT, and `angles_deg` a list
     ANGLES_DEG with its ANGLES_DEG_COUNT; a map `normal` is HAS_NORMAL, numbers `lobe` NUMBER_LOBE, how many there are.
     """
-    surface = material.surface()
-    found: dict[str, str] = {}
-    for option, value in surface.options.items():
+    found = {"HAS_NORMAL": "1"} if material.derives_normal else {}
+    for option, value in material.options.items():
         found |= _define(option.upper(), value)
-    for spec in (*surface.specs(), *material.specs()):
+    for spec in material.specs():
         found[f"HAS_{spec.name.upper()}"] = "1"
         if spec.constant:
             found[f"NUMBER_{spec.name.upper()}"] = str(spec.channels)

@@ -6,6 +6,7 @@ torchmat/web/README.md says what each entry is.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -43,15 +44,14 @@ def describe(material: Material, known: Mapping[str, tuple[dict[str, Any], bytes
 
     Raises RangeError where its model has no shader, or a map cannot be stored.
     """
-    source, surface = source_of(material), material.surface()
+    source = source_of(material)
     names = [spec.name for spec in material.specs() if not spec.constant]
     known = known or {}
     maps = [known[name] if name in known else map_of(material, name) for name in names + ([TRANSFER.name] if INDIRECT.name in material.maps else [])]
-    normal = surface.maps["normal"] if "normal" in surface.maps else None
     description = {
         "format": FORMAT, "version": VERSION, "model": material.name, "size": list(material.size), "whole_size": list(material.whole_size),
         "tiles": material.tiles, "bright_at_horizon": material.bright_at_horizon, "relief": material.relief if material.has_relief else None,
-        "derives_normal": normal is not None and normal is not material.maps.get("normal"),
+        "derives_normal": material.derives_normal,
         "defines": defines_of(material), "glsl": source,
         "numbers": {spec.name: values.tolist() for spec, values in material.numbers() if spec.constant},
         "maps": [entry for entry, _ in maps],
@@ -91,13 +91,21 @@ def _entry(spec: MapSpec, parts: list[Codes]) -> tuple[dict[str, Any], bytes]:
     if channels > _MOST_CHANNELS:
         fact = f"{spec.name} has {channels}"
         raise RangeError(message("describe", "a texture", f"have at most {_MOST_CHANNELS} channels", fact, "Cut it into layers."))
-    values = [decode(part) for part in parts]
     entry = {
         "name": spec.name, "kind": spec.kind, "meaning": spec.meaning, "colour": spec.looks_coloured, "index": spec.index,
         "per_texel": spec.per_texel, "labels": list(spec.layers), "layers": len(parts), "channels": channels,
         "height": height, "width": width, "type": _TYPES[parts[0].pixels.dtype.name], "transfer": parts[0].transfer,
         "low": [one for part in parts for one in part.low], "high": [one for part in parts for one in part.high],
-        "range": [float(min(map(torch.min, values))), float(max(map(torch.max, values)))],
+        "range": _range_of(parts),
     }
     pixels = np.stack([part.pixels for part in parts])
     return entry, pixels.astype(pixels.dtype.newbyteorder("<")).tobytes()
+
+
+def _range_of(parts: list[Codes]) -> list[float]:
+    """Return the least and the greatest value of textures, of which only the least and the greatest codes are decoded."""
+    if parts[0].transfer == "hue":
+        return [-1.0, 1.0]
+    ends = [replace(part, pixels=np.stack((part.pixels.min(axis=(0, 1)), part.pixels.max(axis=(0, 1))))[None]) for part in parts]
+    values = [decode(end) for end in ends]
+    return [float(min(map(torch.min, values))), float(max(map(torch.max, values)))]
