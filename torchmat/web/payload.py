@@ -103,9 +103,10 @@ def _entry(spec: MapSpec, parts: list[Codes]) -> tuple[dict[str, Any], bytes]:
 
 
 def _range_of(parts: list[Codes]) -> list[float]:
-    """Return the least and the greatest value of textures, of which only the least and the greatest codes are decoded."""
-    if parts[0].transfer == "hue":
-        return [-1.0, 1.0]
-    ends = [replace(part, pixels=np.stack((part.pixels.min(axis=(0, 1)), part.pixels.max(axis=(0, 1))))[None]) for part in parts]
-    values = [decode(end) for end in ends]
+    """Return the least and the greatest value of textures: those of the least and the greatest codes, but for hues."""
+    values = [decode(part if part.transfer == "hue" else _ends(part)) for part in parts]
     return [float(min(map(torch.min, values))), float(max(map(torch.max, values)))]
+
+
+def _ends(codes: Codes) -> Codes:
+    return replace(codes, pixels=np.stack((codes.pixels.min(axis=(0, 1)), codes.pixels.max(axis=(0, 1))))[None])
