@@ -159,10 +159,18 @@ def config_of(app):
     )
 
 
+class OneLine(logging.Formatter):
+    """What is logged, in one line whatever it holds."""
+
+    def format(self, record: logging.LogRecord) -> str:
+        """Return the line."""
+        return ascii(f"studio     {record.getMessage()}")[1:-1][:500]
+
+
 def _log_to_stderr() -> None:
     """Let refusals and errors stand on standard error, one line each."""
     handler = logging.StreamHandler(sys.stderr)
-    handler.setFormatter(logging.Formatter("studio     %(message)s"))
+    handler.setFormatter(OneLine())
     for name in ("torchmat.studio", "uvicorn.error"):
         logger = logging.getLogger(name)
         logger.handlers, logger.propagate = [handler], False
