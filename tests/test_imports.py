@@ -30,7 +30,7 @@ PUBLIC = {
     "FitError", "FitResult", "LevenbergMarquardt", "Losses", "Material", "Minibatch", "Point", "RangeError", "RawBtf",
     "Reader", "Recipe", "Scene", "ShapeError", "TorchmatError", "VariableProjection", "compare", "describe_model",
     "describe_models", "environment_lights", "evaluate", "export", "fit", "load_brdf", "load_btf", "load_config",
-    "load_material", "pack", "recover_geometry", "refit", "register", "register_exporter", "register_reader", "render",
+    "load_material", "open_studio", "pack", "recover_geometry", "refit", "register", "register_exporter", "register_reader", "render",
     "sample_path", "sample_truth", "save_material", "split_samples",
 }
 

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from torchmat.rendering.render import render
     from torchmat.report import compare
     from torchmat.sample import sample_path, sample_truth
+    from torchmat.studio.serve import open_studio
     from torchmat.solvers import LBFGS, Adam, ClosedForm, LevenbergMarquardt, Minibatch, VariableProjection
 
     __version__: str
@@ -40,6 +41,7 @@ _NAMES = {
     "rendering": ("Camera", "Directional", "Point", "Scene", "environment_lights", "render"),
     "report": ("compare",),
     "sample": ("sample_path", "sample_truth"),
+    "studio.serve": ("open_studio",),
     "solvers": ("LBFGS", "Adam", "ClosedForm", "LevenbergMarquardt", "Minibatch", "VariableProjection"),
 }
 _PLACES = {name: place for place, names in _NAMES.items() for name in names}
@@ -49,7 +51,7 @@ __all__ = [
     "FitError", "FitResult", "LevenbergMarquardt", "Losses", "Material", "Minibatch", "Point", "RangeError", "RawBtf",
     "Reader", "Recipe", "Scene", "ShapeError", "TorchmatError", "VariableProjection", "compare", "describe_model",
     "describe_models", "environment_lights", "evaluate", "export", "fit", "load_brdf", "load_btf", "load_config",
-    "load_material", "pack", "recover_geometry", "refit", "register", "register_exporter", "register_reader", "render",
+    "load_material", "open_studio", "pack", "recover_geometry", "refit", "register", "register_exporter", "register_reader", "render",
     "sample_path", "sample_truth", "save_material", "split_samples",
 ]
 
