@@ -15,7 +15,8 @@ import numpy as np
 from torchmat.errors import DataError, message
 from torchmat.images import read_image
 from torchmat.material_io.painted import check_hues
-from torchmat.models.storage import Codes, decode
+from torchmat.models.storage import Codes
+from torchmat.web.payload import range_of
 
 _TYPES = {"uint8": "u8", "uint16": "u16", "float16": "f16", "float32": "f32"}
 
@@ -47,10 +48,9 @@ def quick_map(
         parts.append(Codes(pixels, tuple(one.get("low", ())), tuple(one.get("high", ())), one["transfer"]))
     if any((before["height"], before["width"], before["channels"]) != one.pixels.shape for one in parts):
         return None
-    ends = [_ends(one) for one in parts]
     entry = {
         **before, "transfer": parts[0].transfer, "low": [low for one in parts for low in one.low],
-        "high": [high for one in parts for high in one.high], "range": [min(low for low, _ in ends), max(high for _, high in ends)],
+        "high": [high for one in parts for high in one.high], "range": range_of(parts),
     }
     stacked = np.stack([one.pixels for one in parts])
     return entry, stacked.astype(stacked.dtype.newbyteorder("<"), copy=False).tobytes()
@@ -67,12 +67,3 @@ def _check(path: Path, texture: Mapping[str, Any], pixels: np.ndarray) -> None:
     if not np.issubdtype(pixels.dtype, np.integer) and not bool(np.isfinite(pixels).all()):
         fact = f"{int((~np.isfinite(pixels)).sum())} of {pixels.size} values are NaN or Inf"
         raise DataError(message(str(path), "the texture", "be finite", fact, "Correct those texels, or export the material again."))
-
-
-def _ends(codes: Codes) -> tuple[float, float]:
-    """Return the least and the largest value that codes stand for: those of the least and the largest codes."""
-    pixels = codes.pixels
-    if codes.transfer != "hue":
-        pixels = np.stack((pixels.min(axis=(0, 1)), pixels.max(axis=(0, 1))))[None]
-    values = decode(Codes(pixels, codes.low, codes.high, codes.transfer))
-    return float(values.min()), float(values.max())

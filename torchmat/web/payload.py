@@ -96,13 +96,13 @@ def _entry(spec: MapSpec, parts: list[Codes]) -> tuple[dict[str, Any], bytes]:
         "per_texel": spec.per_texel, "labels": list(spec.layers), "layers": len(parts), "channels": channels,
         "height": height, "width": width, "type": _TYPES[parts[0].pixels.dtype.name], "transfer": parts[0].transfer,
         "low": [one for part in parts for one in part.low], "high": [one for part in parts for one in part.high],
-        "range": _range_of(parts),
+        "range": range_of(parts),
     }
     pixels = np.stack([part.pixels for part in parts])
     return entry, pixels.astype(pixels.dtype.newbyteorder("<")).tobytes()
 
 
-def _range_of(parts: list[Codes]) -> list[float]:
+def range_of(parts: list[Codes]) -> list[float]:
     """Return the least and the greatest value of textures: those of the least and the greatest codes, but for hues."""
     values = [decode(part if part.transfer == "hue" else _ends(part)) for part in parts]
     return [float(min(map(torch.min, values))), float(max(map(torch.max, values)))]
