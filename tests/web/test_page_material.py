@@ -82,6 +82,7 @@ def test_what_does_not_fit_is_refused_and_changes_nothing(drawing):
     ):
         with pytest.raises(Exception, match=words):
             drawing.page.evaluate(f"() => {{ {script}; }}")
+    assert drawing.page.evaluate("drawing.material.buffers.albedo.byteLength") == 432  # what a lost context comes back with
     assert error_of(drawing, material) < 1e-9
 
 

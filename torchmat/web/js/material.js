@@ -1,5 +1,6 @@
 // A material on the graphics card: its maps as textures, and the GLSL that reads and shades them.
 
+import { decoded } from "./codes.js";
 import { TexelMap, levelsOf } from "./maps.js";
 import { Relief } from "./relief.js";
 
@@ -103,10 +104,12 @@ export class Material {
   update(name, entry, buffer) {
     const map = this.maps.get(name);
     if (!map) throw new Error(`The material has no map ${name}; it has ${[...this.maps.keys()].join(", ")}.`);
+    // Codes that are not whole throw here, and leave all as it was.
+    if (this.context.lost) decoded(entry, buffer);
+    else map.fill(entry, buffer);
     this.entries.set(name, entry);
     this.buffers[name] = buffer;
-    if (this.context.lost) return;  // it is made anew from these
-    map.fill(entry, buffer);
+    if (this.context.lost) return; // it is made anew from these
     if (this.relief?.follows(name)) this.relief.update();
   }
 
