@@ -159,3 +159,5 @@ def test_small_pictures_show_maps_as_paint_programs_do(drawing, storage):
 def test_small_pictures_are_small(drawing):
     payload = describe(make("ptm", {}, 300, 150, torch.float32))
     assert thumbnails(drawing, payload)["polynomial"].shape == (42, 33, 3)
+    curve = describe(make("distribution", {"lobes": 1, "parts": ["tilt"]}, 4, 4, torch.float32))
+    assert thumbnails(drawing, curve)["tilt"].shape == (16, 64, 3)

@@ -21,7 +21,8 @@ export function thumbnail(entry, buffer, side = SIDE) {
   const layers = kind === "rotation" ? 1 : Math.min(entry.layers, MOST_ACROSS ** 2);
   const across = Math.ceil(Math.sqrt(layers));
   const scale = Math.min(1, side / across / Math.max(height, width));
-  const [rows, columns] = [height, width].map((side) => Math.max(1, Math.round(side * scale)));
+  const columns = Math.max(1, Math.round(width * scale));
+  const rows = height === 1 && width > 1 ? SIDE / 4 : Math.max(1, Math.round(height * scale)); // a curve is a strip
   canvas.width = across * columns;
   canvas.height = Math.ceil(layers / across) * rows;
   const pixels = new ImageData(canvas.width, canvas.height);
