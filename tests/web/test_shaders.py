@@ -13,6 +13,7 @@ from tests.web.drawing import relative_error
 
 from torchmat.errors import RangeError
 from torchmat.models import MATERIALS, Material, Ptm, Texture
+from torchmat.models.storage import decode
 from torchmat.models.storage import MapSpec
 from torchmat.web.payload import describe, has_shader
 
@@ -136,3 +137,14 @@ def test_a_wrong_shader_says_which_line(drawing, tmp_path):
     drawing.load(Wrong({"polynomial": torch.rand(18, 4, 4)}))
     with pytest.raises(Exception, match="The shader does not compile: .*missing_word.*\n +return missing_word;"):
         drawing.evaluate(*hard_and_random(), (4, 4))
+
+
+@pytest.mark.parametrize("storage", ["half", "float", "png8", "paint8", "paint16"])
+def test_ranges_are_those_of_all_values(storage):
+    material = make("distribution", {"parts": ["normal", "rotation", "specular_mask"]}, 6, 5, torch.float32, storage=storage)
+    held = {texture.spec.name: [] for texture in material.textures()}
+    for texture in material.textures():
+        held[texture.spec.name].append(decode(texture.codes()))
+    for entry in describe(material).description["maps"]:
+        values = held[entry["name"]]
+        assert entry["range"] == [float(min(map(torch.min, values))), float(max(map(torch.max, values)))]
