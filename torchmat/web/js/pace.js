@@ -15,7 +15,7 @@ export class Pace {
   constructor(gl, rested) {
     this.gl = gl;
     this.rested = rested;
-    this.whole = 2.5 * MOVING; // milliseconds of a picture in full: a guess until the first was timed
+    this.whole = 6 * MOVING; // milliseconds of a picture in full: a guess until the first was timed
     this.moving = false;
     this.timed = false;
     this.sync = null;
