@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import os
+import subprocess
+import sys
 import time
 
 import numpy as np
@@ -228,6 +230,35 @@ def test_the_next_start_shows_the_last_session_at_once_if_the_files_are_those(fo
     (folder / "diffuse.png").write_bytes(painted(folder / "diffuse.png"))
     with served(folder) as studio:
         assert_shows(studio, tm.load_material(folder))
+
+
+def test_a_new_material_of_a_form_that_was_seen_needs_no_torch_for_its_first_picture(folder, tmp_path, monkeypatch):
+    from torchmat.studio.known import first_of
+
+    other = wool(tmp_path / "silk", 24, specular=("soft", "rim"), height_scale=0.2)
+    assert first_of(folder) is None
+    with served(folder) as studio, studio.page():
+        deadline = time.monotonic() + 10
+        while first_of(other) is None:
+            assert time.monotonic() < deadline
+            time.sleep(0.05)
+    description, buffers = first_of(other)
+    wanted = describe(tm.load_material(other))
+    assert buffers == wanted.buffers
+    for entry, known in zip(wanted.description.pop("maps"), description.pop("maps"), strict=True):
+        close = known.pop("range"), entry.pop("range")
+        assert known == entry and (entry["transfer"] == "hue" or np.allclose(*close, rtol=1e-6))
+    assert description == json.loads(json.dumps(wanted.description))
+    assert first_of(wool(tmp_path / "flat", height_scale=0)) is None and first_of(wool(tmp_path / "one", lobes=1, specular=("rim",))) is None
+    write_image(other / "diffuse.png", read_image(other / "diffuse.png")[:8])
+    assert first_of(other) is None
+    (other / "diffuse.png").write_bytes(b"half")
+    assert first_of(other) is None
+    done = subprocess.run(
+        [sys.executable, "-c", "import sys, torchmat.studio.live, torchmat.studio.app, torchmat.studio.known; print('torch' in sys.modules)"],
+        capture_output=True, text=True, check=True,
+    )
+    assert done.stdout == "False\n"
 
 
 def test_a_folder_that_cannot_be_written_is_shown_and_nothing_is_saved(folder, monkeypatch):

@@ -68,7 +68,8 @@ class Follower:
 
     async def _read_maps(self, tries: dict[str, int]) -> None:
         try:
-            answer = self._live.noted(await self._live.worker.call("read", names=list(tries)))
+            found = await self._live.worker.call("read", names=list(tries))
+            answer = self._live.noted(found, files_of(manifest_in(self._live.place.folder), tries))
         except TorchmatError as error:
             self._live.say("material", "error", str(error))
             return

@@ -5,11 +5,12 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 from torchmat.errors import DataError, TorchmatError, message
 from torchmat.studio.follow import Follower
+from torchmat.studio.known import first_of, keep_form
 from torchmat.studio.history import History, State
 from torchmat.studio.place import MANIFEST, Place, pictures_in
 from torchmat.studio.settings import load_settings
@@ -71,6 +72,8 @@ class Live:
         if not text:
             if self.says.pop(about, None) is None:
                 return
+        elif self.says.get(about, {}).get("text") == text:
+            return
         else:
             self.says[about] = {"about": about, "level": level, "text": text}
         self.tell("says", about=about, level=level, text=text)
@@ -90,7 +93,7 @@ class Live:
     async def open(self) -> None:
         """Show what was kept of the last session, if the files are still those, read the folder, and follow it."""
         self.watch = Watch(self.place.folder, self.files)
-        found = await asyncio.to_thread(kept, self.place.own, self.place.folder)
+        found = await asyncio.to_thread(_first, self.place)
         if found is None:
             self.worker.start()
         else:
@@ -122,11 +125,13 @@ class Live:
             if self.shown.put_map(name, entry, data):
                 self.tell("map", name=name, version=self.shown.versions[name])
 
-    def noted(self, answer: Any) -> Any:
-        """Say what a call warned of, and return its value."""
-        for text in answer.notices:
-            where = text.partition(": ")[0].rpartition("/")[2]
-            self.say(f"note {where}", "note", text)
+    def noted(self, answer: Any, files: Iterable[str] = ()) -> Any:
+        """Say what a call warned of, take back what was said of `files` that it read, and return its value."""
+        notes = {f"note {text.partition(': ')[0].rpartition('/')[2]}": text for text in answer.notices}
+        for about in {f"note {file}" for file in files} - notes.keys():
+            self.say(about, "note", "")
+        for about, text in notes.items():
+            self.say(about, "note", text)
         return answer.value
 
     async def reload(self) -> None:
@@ -165,6 +170,7 @@ class Live:
             digests = digests_in(self.place.folder)
             if digests != self._kept:
                 keep(self.place.own, digests, self.shown)
+                keep_form(self.place.folder, self.shown.description)
                 self._kept = digests
 
     async def remember(self, what: str) -> None:
@@ -232,3 +238,8 @@ class Live:
         self._tell_files()
         self.start(asyncio.to_thread(self._keep))
         return found
+
+
+def _first(place: Place) -> tuple[dict[str, Any], dict[str, bytes]] | None:
+    """Return what can be shown without torch: what was kept for these very files, or what they say themselves."""
+    return kept(place.own, place.folder) or first_of(place.folder)

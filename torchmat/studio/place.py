@@ -53,8 +53,12 @@ def place_of(folder: str | Path) -> Place:
 
 def _in_cache(folder: Path) -> Path:
     digest = hashlib.sha256(os.fsencode(folder)).hexdigest()[:16]
-    cache = os.environ.get("TORCHMAT_CACHE") or Path.home() / ".cache" / "torchmat"
-    return Path(cache) / "studio" / f"{folder.name}-{digest}"
+    return cache_folder() / f"{folder.name}-{digest}"
+
+
+def cache_folder() -> Path:
+    """Return where studios keep what belongs to the user, and to no one material."""
+    return Path(os.environ.get("TORCHMAT_CACHE") or Path.home() / ".cache" / "torchmat") / "studio"
 
 
 def _can_write(folder: Path) -> bool:
