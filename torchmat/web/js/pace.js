@@ -4,6 +4,10 @@ const MOVING = 30; // milliseconds that a picture may take while something moves
 const RESTING = 3000; // and at rest
 const LEAST = 0.25;
 const REST = 220; // milliseconds without a change until the finest picture is drawn
+// A save must not wait for a finest picture: where saves come in, a finer one that takes this long does at first, and the finest one
+// is drawn when this long nothing has changed.
+const FINER = 150;
+const SETTLED = 2000;
 const LONGEST = 10000; // without an answer for so long no more is expected
 const POLL = 6;
 
@@ -11,10 +15,16 @@ const shareFor = (most, whole) => Math.max(LEAST, Math.min(1, Math.sqrt(most / w
 
 /** Watches how long pictures take. */
 export class Pace {
-  /** @param {WebGL2RenderingContext} gl @param {() => void} rested called when the finest picture is due */
-  constructor(gl, rested) {
+  /**
+   * @param {WebGL2RenderingContext} gl
+   * @param {() => void} rested called when a finer picture is due
+   * @param {boolean} live whether saves come in
+   */
+  constructor(gl, rested, live = false) {
     this.gl = gl;
     this.rested = rested;
+    this.live = live;
+    this.resting = RESTING; // milliseconds that a picture at rest may take for now
     this.whole = 6 * MOVING; // milliseconds of a picture in full: a guess until the first was timed
     this.moving = false;
     this.timed = false;
@@ -27,20 +37,24 @@ export class Pace {
   stir() {
     this.moving = true;
     clearTimeout(this.timers.rest);
-    this.timers.rest = setTimeout(() => {
-      this.moving = false;
-      if (this.coarse) this.rested();
-    }, REST);
+    clearTimeout(this.timers.settled);
+    this.timers.rest = setTimeout(() => this.rest(this.live ? FINER : RESTING), REST);
+    if (this.live) this.timers.settled = setTimeout(() => this.rest(RESTING), SETTLED);
+  }
+
+  rest(most) {
+    Object.assign(this, { moving: false, resting: most });
+    if (this.coarse) this.rested();
   }
 
   /** @returns {number} the factor on the pixels' number along a side of the next picture */
   share() {
-    return shareFor(this.moving ? MOVING : RESTING, this.whole);
+    return shareFor(this.moving ? MOVING : this.resting, this.whole);
   }
 
   /** @returns {boolean} whether what is seen is coarser than it will be at rest */
   get coarse() {
-    return this.sentShare < 0.95 * shareFor(RESTING, this.whole);
+    return this.sentShare < 0.95 * shareFor(this.resting, this.whole);
   }
 
   /** A picture was sent off, of so much of the pixels along a side. */
@@ -81,6 +95,7 @@ export class Pace {
 
   stop() {
     clearTimeout(this.timers.rest);
+    clearTimeout(this.timers.settled);
     this.forget();
   }
 }

@@ -41,7 +41,7 @@ export class Viewer extends Acts {
     // Edges are smoothed in a frame buffer of the scene's own.
     this.context = openContext(canvas, { alpha: false, antialias: false, depth: false, powerPreference: "low-power" });
     this.build();
-    this.pace = new Pace(this.context.gl, () => this.redraw(false));
+    this.pace = new Pace(this.context.gl, () => this.redraw(false), Boolean(this.live));
     this.stopControls = attachControls(canvas, this);
     // Asked for once: to ask in every frame would lay the page out in every frame.
     this.box = canvas.parentElement.getBoundingClientRect();
