@@ -151,7 +151,7 @@ def test_specular_maps_are_dense_where_highlights_are_sharp(wide, spacing):
     maps = {"diffuse": np.full((3, 4, 4), 0.1), "specular": 20 * lobe(wide, wide, 201)}
     planes = [rows[:, :, None, None] for rows in (light, view)]
     images = np.stack([oracle.shade("distribution", maps, {"lobes": 1}, *pair, 4, 4) for pair in zip(*planes, strict=True)])
-    options = {**ONE_LOBE, "specular_mask": False, "normal": False, "effort": 0.3, "geometry": "flat"}
+    options = {**ONE_LOBE, "specular_mask": False, "normal": False, "effort": 0.15, "geometry": "flat"}
     btf, errors = btf_of(images, light=light, view=view), {}
     for asked in ("auto", "even", "dense"):
         result = tm.fit(btf, "distribution", **{**options, "specular_spacing": asked})
@@ -359,7 +359,7 @@ def test_13_more_lobes_than_texels():
     assert result.material.options["lobes"] == 3
 
 
-@pytest.mark.parametrize("options", [{}, {"effort": 1.0, "specular_size": 4}], ids=["quick", "full"])
+@pytest.mark.parametrize("options", [{}, {"effort": 0.3, "specular_size": 4}], ids=["quick", "long"])
 def test_9_all_samples_black(options):
     black = np.zeros_like(scene("isotropic")[1])[:, :, :2, :2]
     result = checked(tm.fit(btf_of(black), "distribution", geometry="flat", **{**QUICK, **options}))
