@@ -6,7 +6,7 @@ import pytest
 import torch
 from tests.support import assert_close
 
-from torchmat.repeatable import add_product, one_thread, product, wide_product
+from torchmat.repeatable import add_product, one_thread, product, spread, wide_product
 
 SHAPES = [(7, 2000, 3), (3, 25000, 48), (9, 2000, 4000), (15, 600, 12288), (4, 130, 60001), (1, 5, 1)]
 
@@ -59,3 +59,21 @@ def test_wide_products_round_alike_on_any_number_of_threads(rows, dtype):
 def test_small_wide_products_are_products():
     first, second = torch.randn(3, 4), torch.randn(4, 5)
     assert torch.allclose(wide_product(first, second), first @ second)
+
+
+@pytest.mark.parametrize("size", [(1, 1), (300, 401)])
+def test_numbers_for_all_texels_have_a_gradient_that_threads_do_not_change(size):
+    weight = torch.rand(2, *size, generator=torch.Generator().manual_seed(0)) ** 8
+    found, before = [], torch.get_num_threads()
+    try:
+        for threads in (1, 2, 3):
+            torch.set_num_threads(threads)
+            numbers = torch.tensor([0.3, 0.7]).requires_grad_()
+            planes = spread(numbers, *size)
+            assert planes.shape == weight.shape and bool((planes[1] == numbers[1]).all())
+            (planes[:1] * weight[:1] + planes[1:] * weight[1:]).sum().backward()
+            found.append(numbers.grad)
+    finally:
+        torch.set_num_threads(before)
+    assert all(torch.equal(found[0], other) for other in found[1:])
+    assert torch.allclose(found[0], weight.double().sum(dim=(1, 2)).float(), rtol=1e-5)

@@ -77,3 +77,11 @@ def add_product(total: Tensor, left: Tensor, right: Tensor) -> None:
             total += (_full_rows(rows.T) @ part)[: len(total)]
         else:
             total.addmm_(rows.T, part)
+
+
+def spread(numbers: Tensor, rows: int, columns: int) -> Tensor:
+    """Return numbers [C] as planes [C, rows, columns], whose gradients are summed row by row.
+
+    Summed to one number at once they would be shared out among threads, and round by how many there are.
+    """
+    return numbers[:, None, None].expand(-1, rows, 1).expand(-1, -1, columns)

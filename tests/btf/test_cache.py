@@ -405,7 +405,7 @@ def test_processes_that_load_the_same_data(tmp_path, root):
 def test_another_that_is_first_by_a_moment(tmp_path, monkeypatch):
     folder = put_btf(tmp_path / "d")
 
-    def second(built: Path, target: Path, backup: bool) -> None:
+    def second(built: Path, target: Path, backup: bool, late: atomic.Late) -> None:
         os.rename(built, target)
         raise OSError(errno.ENOTEMPTY, "Directory not empty")
 

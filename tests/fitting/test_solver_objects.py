@@ -21,7 +21,7 @@ from torchmat.models.unbounded import Unbounded
 from torchmat.solvers import SOLVERS, as_solver
 
 LIGHT, VIEW = all_pairs(hemisphere(((0, 1), (30, 4), (60, 6))), hemisphere(((0, 1), (40, 5))))
-SMALL = {"lobes": 1, "fresnel": False, "rotation": False, "specular_size": 8, "geometry": "flat"}
+SMALL = {"lobes": 1, "fresnel": False, "rotation": False, "specular_size": 8, "geometry": "flat", "specular_spacing": "even"}
 
 
 @pytest.fixture(scope="module")

@@ -399,10 +399,10 @@ def test_gradients_match_differences(name, options, how, exact_roots):
     def shade(material):
         return material.shade(light, view) if how == "shade" else material.shade_at(uv, light, view)
 
-    for key in _floats(material):
-        by_graph, numeric = _slopes(material, shade, {key: torch.randn_like(material.maps[key])})
-        assert numeric != 0
-        assert abs(by_graph - numeric) < 1e-6 * max(1.0, abs(numeric)), key
+    # Along one random direction of all maps: what is wrong in any of them shows.
+    by_graph, numeric = _slopes(material, shade, {key: torch.randn_like(material.maps[key]) for key in _floats(material)})
+    assert numeric != 0
+    assert abs(by_graph - numeric) < 1e-6 * max(1.0, abs(numeric))
 
 
 def test_gradient_of_each_height_matches_differences(exact_roots):

@@ -23,6 +23,7 @@ from torchmat.models.base import Material, combine
 from torchmat.models.ggx import smith_denominator
 from torchmat.models.parabolic import EVEN, SPACINGS, places
 from torchmat.models.storage import MapSpec
+from torchmat.repeatable import spread
 
 DISTRIBUTION_PARTS = ("normal", "specular_mask", "fresnel", "rotation", "tilt", "masking")
 _DENOMINATORS = ("tilt", "masking")  # parts that take the place of D as printed
@@ -175,7 +176,7 @@ class Distribution(Material):
         """Return the value by Smith's denominator, of directions that are turned into the texels' frames."""
         half, squared = _half(light, view)  # before they are turned: rounding would decide it where they are opposite
         light, view, half = (d if frame is None else combine(d, frame) for d in (light, view, half))
-        n_dot_l, denominator = smith_denominator(light, view, self.maps["masking"].square()[:, None, None])
+        n_dot_l, denominator = smith_denominator(light, view, spread(self.maps["masking"].square(), *light.shape[-2:]))
         share = n_dot_l / (denominator + _GRAZING)
         return torch.addcmul(self._specular(self._looked_up(half), share, squared), self.maps["diffuse"], n_dot_l)
 
@@ -192,7 +193,7 @@ class Distribution(Material):
     def _rise(self, grazing: Tensor) -> Tensor:
         exponent = self.options["fresnel_exponent"]
         if isinstance(exponent, Tensor):  # exp and log round alike in every thread's share, a power does not
-            return (exponent * grazing.clamp(min=_LEAST_RISE).log()).exp()
+            return (spread(exponent, *grazing.shape[-2:]) * grazing.clamp(min=_LEAST_RISE).log()).exp()
         if exponent >= 1:
             return grazing**exponent
         return safe.power(grazing, torch.tensor(exponent, dtype=grazing.dtype))  # its slope at 0 is infinite
