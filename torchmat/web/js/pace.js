@@ -6,8 +6,9 @@ const LEAST = 0.25;
 const REST = 220; // milliseconds without a change until the finest picture is drawn
 // A save must not wait for a finest picture: where saves come in, a finer one that takes this long does at first, and the finest one
 // is drawn when this long nothing has changed.
-const FINER = 150;
+const FINER = 60;
 const SETTLED = 2000;
+const LIVE = 600; // milliseconds that the finest picture may take there
 const LONGEST = 10000; // without an answer for so long no more is expected
 const POLL = 6;
 
@@ -39,7 +40,7 @@ export class Pace {
     clearTimeout(this.timers.rest);
     clearTimeout(this.timers.settled);
     this.timers.rest = setTimeout(() => this.rest(this.live ? FINER : RESTING), REST);
-    if (this.live) this.timers.settled = setTimeout(() => this.rest(RESTING), SETTLED);
+    if (this.live) this.timers.settled = setTimeout(() => this.rest(LIVE), SETTLED);
   }
 
   rest(most) {
