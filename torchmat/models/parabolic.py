@@ -21,8 +21,11 @@ SPOT = 1 / 256
 def places(direction: Tensor, spacing: str = EVEN) -> Tensor:
     """Return where directions [..., 3, h, w] lie on a map, [..., 2, h, w]: right and up, -1 to 1 from rim to rim."""
     place = direction[..., :2, :, :] / (1 + direction[..., 2:, :, :].clamp(min=0))
-    if spacing == EVEN:
-        return place
+    return place if spacing == EVEN else _denser(place)
+
+
+def _denser(place: Tensor) -> Tensor:
+    """Return the places [..., 2, h, w] on a dense map of those on an even one."""
     squared = (place * place).sum(dim=-3, keepdim=True)
     return place * torch.rsqrt(torch.sqrt(squared + SPOT * SPOT))
 
@@ -49,11 +52,7 @@ def respaced(table: Tensor, before: str, after: str) -> Tensor:
     """Return a map [C, S, S] of one spacing as one of another, looked up between its texels."""
     if before == after:
         return table
-    size = table.shape[-1]
-    even = evenly(texel_places(size, table.dtype), after)
-    place = even
-    if before == DENSE:
-        squared = (even * even).sum(dim=0)
-        place = even * torch.rsqrt(torch.sqrt(squared + SPOT * SPOT))
+    even = evenly(texel_places(table.shape[-1], table.dtype), after)
+    place = _denser(even) if before == DENSE else even
     grid = torch.stack((place[0], -place[1]), dim=-1)[None]
     return functional.grid_sample(table[None], grid, mode="bilinear", padding_mode="border", align_corners=False)[0]

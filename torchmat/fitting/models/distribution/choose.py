@@ -18,7 +18,7 @@ import torch.nn.functional as functional
 from torch import Tensor
 
 from torchmat.fitting.models.distribution.parameters import EXPONENT, Parts
-from torchmat.models.parabolic import DENSE, EVEN, respaced
+from torchmat.models.parabolic import DENSE, EVEN, respaced, texel_places
 from torchmat.progress import whole
 from torchmat.repeatable import one_thread
 from torchmat.solvers import Minibatch
@@ -169,13 +169,11 @@ def _evened(log_specular: Tensor, angle: Tensor) -> Tensor:
     """Return specular maps [C, S, S] (logarithms) as texels of no direction show them: the mean over `angle` of the texels."""
     sorted_angles = angle.flatten().sort().values
     some = sorted_angles[torch.linspace(0, len(sorted_angles) - 1, _ANGLES).round().long()]
-    size, dtype = log_specular.shape[-1], log_specular.dtype
-    axis = (torch.arange(size, dtype=dtype) + 0.5) / size * 2 - 1
-    down, right = torch.meshgrid(axis, axis, indexing="ij")
+    dtype = log_specular.dtype
+    right, up = texel_places(log_specular.shape[-1], dtype)
     cosine, sine = torch.cos(some)[:, None, None], torch.sin(some)[:, None, None]
     # A texel turned by an angle looks its half vector up turned back by it; rows run downward.
-    across, up = cosine * right - sine * down, -sine * right - cosine * down
-    grid = torch.stack((across, -up), dim=-1)
+    grid = torch.stack((cosine * right + sine * up, sine * right - cosine * up), dim=-1)
     with one_thread():
         turned = functional.grid_sample(
             log_specular.exp()[None].expand(_ANGLES, -1, -1, -1), grid, mode="bilinear", padding_mode="border", align_corners=False,

@@ -92,9 +92,7 @@ def raw_maps(
     """Return the unbounded parameters that stand for the maps, at their starting values; one for an `exponent` of None."""
     dtype, mean = training.dtype, starts["mean"]
     generator = torch.Generator().manual_seed(training.seed)
-    axis = (torch.arange(size, dtype=dtype) + 0.5) / size * 2 - 1
-    distance = axis[:, None] ** 2 + axis[None, :] ** 2
-    distance = distance if parts.spacing == EVEN else evenly(texel_places(size, dtype), parts.spacing).square().sum(dim=0)
+    distance = evenly(texel_places(size, dtype), parts.spacing).square().sum(dim=0)
     noise = torch.randn(3 * parts.lobes, 1, 1, generator=generator, dtype=torch.float64).to(dtype)
     inside = inside_of(mean, training.btf.mask)
     with one_thread():
