@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import torch
-from torch import Tensor
 
 from torchmat import safe
 from torchmat.errors import RangeError, message
@@ -18,23 +17,13 @@ from torchmat.material_io.glb import SUFFIX, Buffer, write_glb
 from torchmat.material_io.gltf_material import MAP_OF_HEIGHT, material_of
 from torchmat.material_io.pictures import codes_of, normal_codes, png_bytes
 from torchmat.material_io.renderer_form import COATED, losses_of_form, microfacet_form
+from torchmat.mesh_arrays import is_mesh
 from torchmat.models import Material, Microfacet
 from torchmat.models.renderers import DIELECTRIC, Gltf, as_gltf
 
 _VERTICES, _INDICES = 34962, 34963
 _REPEAT, _CLAMP, _LINEAR, _MIPMAPS = 10497, 33071, 9729, 9987
 _DIMMED = "renderers dim it by what the specular part reflects"
-
-
-class MeshArrays(Protocol):
-    """What is needed of a mesh: a `torchmat.rendering.Mesh` is one."""
-
-    position: Tensor
-    faces: Tensor
-    normal: Tensor
-    uv: Tensor
-    tangent: Tensor
-    handedness: Tensor
 
 
 def write_gltf(material: Material, path: Path, *, mesh: Any = "quad", depth: int = 16) -> Losses:
@@ -77,7 +66,7 @@ def _with_mesh(buffer: Buffer, mesh: Any) -> dict[str, Any]:
         normal, tangent = (np.tile(np.array(one, np.float32), (4, 1)) for one in ([0, 0, 1], [1, 0, 0, 1]))
         uv, faces = np.array([[0, 1], [1, 1], [0, 0], [1, 0]], np.float32), np.array([0, 1, 3, 0, 3, 2])
         name = "quad"
-    elif all(hasattr(mesh, part) for part in MeshArrays.__annotations__):
+    elif is_mesh(mesh):
         position, normal, uv = (np.array(getattr(mesh, part).numpy(), np.float32) for part in ("position", "normal", "uv"))
         tangent = np.concatenate((mesh.tangent.numpy(), mesh.handedness.numpy()[:, None]), axis=1).astype(np.float32)
         uv[:, 1] = 1 - uv[:, 1]  # v runs down in glTF

@@ -20,9 +20,9 @@ from torchmat.errors import DataError
 from torchmat.images import read_image
 from torchmat.studio.place import cache_folder, check_links, write_own
 from torchmat.studio.textures import manifest_in, textures_of
+from torchmat.web.codes import TYPES, stacked_bytes
 
 _FORMAT, _MOST = 1, 100  # forms that are kept
-_TYPES = {"uint8": "u8", "uint16": "u16", "float16": "f16", "float32": "f32"}
 _VALUES = ("provenance", "digests", "edited", "edits", "written_by", "height", "width", "bytes_per_texel", "shared_bytes", "constants")
 _OF_TEXTURES = ("map", "channels", "type", "transfer", "per_texel", "filter", "meaning")
 
@@ -82,14 +82,13 @@ def _read(folder: Path, textures: list[Mapping[str, Any]], entry: dict[str, Any]
     integer = kind.startswith("uint")
     if channels != entry["channels"] or any(integer != bool(one.get("low")) for one in textures):
         raise ValueError
-    entry["type"], entry["transfer"] = _TYPES[kind], textures[0]["transfer"]
+    entry["type"], entry["transfer"] = TYPES[kind], textures[0]["transfer"]
     entry["low"] = [low for one in textures for low in one.get("low", ())]
     entry["high"] = [high for one in textures for high in one.get("high", ())]
     ends = [_values(part, one) for part, one in zip(parts, textures, strict=True)]
     if textures[0]["transfer"] != "hue":  # of those the last known range stands until torch is there
         entry["range"] = [float(min(one.min() for one in ends)), float(max(one.max() for one in ends))]
-    stacked = np.stack(parts)
-    return stacked.astype(stacked.dtype.newbyteorder("<"), copy=False).tobytes()
+    return stacked_bytes(parts)
 
 
 def _values(pixels: np.ndarray, texture: Mapping[str, Any]) -> np.ndarray:

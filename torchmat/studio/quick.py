@@ -16,9 +16,8 @@ from torchmat.errors import DataError, message
 from torchmat.images import read_image
 from torchmat.material_io.painted import check_hues
 from torchmat.models.storage import Codes
+from torchmat.web.codes import TYPES, stacked_bytes
 from torchmat.web.payload import range_of
-
-_TYPES = {"uint8": "u8", "uint16": "u16", "float16": "f16", "float32": "f32"}
 
 
 def quick_map(
@@ -42,7 +41,7 @@ def quick_map(
             return None
         pixels = read_image(path)
         shape = (one["height"], one["width"], one["channels"])
-        if pixels.shape != shape or _TYPES[pixels.dtype.name] != before["type"] or not _is_coded(one, pixels):
+        if pixels.shape != shape or TYPES[pixels.dtype.name] != before["type"] or not _is_coded(one, pixels):
             return None
         _check(path, one, pixels)
         parts.append(Codes(pixels, tuple(one.get("low", ())), tuple(one.get("high", ())), one["transfer"]))
@@ -52,8 +51,7 @@ def quick_map(
         **before, "transfer": parts[0].transfer, "low": [low for one in parts for low in one.low],
         "high": [high for one in parts for high in one.high], "range": range_of(parts),
     }
-    stacked = np.stack([one.pixels for one in parts])
-    return entry, stacked.astype(stacked.dtype.newbyteorder("<"), copy=False).tobytes()
+    return entry, stacked_bytes([one.pixels for one in parts])
 
 
 def _is_coded(texture: Mapping[str, Any], pixels: np.ndarray) -> bool:

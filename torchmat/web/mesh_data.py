@@ -2,27 +2,17 @@
 
 from __future__ import annotations
 
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from torchmat.errors import RangeError, message
+from torchmat.mesh_arrays import is_mesh
 
 _TOP, _UNIT = 65535, 32767
 MOST_TRIANGLES = 400_000  # 9 MB of a page
-
-
-class MeshArrays(Protocol):
-    """What is needed of a mesh: a `torchmat.rendering.Mesh` is one."""
-
-    position: Tensor
-    faces: Tensor
-    normal: Tensor
-    uv: Tensor
-    tangent: Tensor
-    handedness: Tensor
 
 
 def packed_mesh(mesh: Any) -> tuple[dict[str, Any], dict[str, bytes]]:
@@ -31,7 +21,7 @@ def packed_mesh(mesh: Any) -> tuple[dict[str, Any], dict[str, bytes]]:
     Positions are shares of the bounding box, directions octahedral (Meyer and others 2010), texture coordinates floats.
     Raises RangeError for what is no mesh, and for one of more than MOST_TRIANGLES.
     """
-    if not all(hasattr(mesh, part) for part in MeshArrays.__annotations__):
+    if not is_mesh(mesh):
         step = "Give torchmat.rendering.load_mesh(path)."
         raise RangeError(message("export to html", "mesh", "be a shape's name or a mesh", f"it is {mesh!r:.60}", step))
     if len(mesh.faces) > MOST_TRIANGLES:

@@ -17,11 +17,11 @@ from torchmat.errors import RangeError, message
 from torchmat.models.base import Material
 from torchmat.models.indirect import INDIRECT, small_transfer
 from torchmat.models.storage import Codes, MapSpec, decode
+from torchmat.web.codes import TYPES, stacked_bytes
 from torchmat.web.glsl import defines_of, shader_of, source_of
 
 FORMAT, VERSION = "torchmat-web", 1
 TRANSFER = MapSpec("transfer", "light that arrives by way of other texels, for each harmonic of the light", layers=tuple(map(str, range(9))))
-_TYPES = {"uint8": "u8", "uint16": "u16", "float16": "f16", "float32": "f32"}
 _MOST_CHANNELS = 4  # of a texel on a graphics card
 
 
@@ -94,12 +94,11 @@ def _entry(spec: MapSpec, parts: list[Codes]) -> tuple[dict[str, Any], bytes]:
     entry = {
         "name": spec.name, "kind": spec.kind, "meaning": spec.meaning, "colour": spec.looks_coloured, "index": spec.index,
         "per_texel": spec.per_texel, "labels": list(spec.layers), "layers": len(parts), "channels": channels,
-        "height": height, "width": width, "type": _TYPES[parts[0].pixels.dtype.name], "transfer": parts[0].transfer,
+        "height": height, "width": width, "type": TYPES[parts[0].pixels.dtype.name], "transfer": parts[0].transfer,
         "low": [one for part in parts for one in part.low], "high": [one for part in parts for one in part.high],
         "range": range_of(parts),
     }
-    pixels = np.stack([part.pixels for part in parts])
-    return entry, pixels.astype(pixels.dtype.newbyteorder("<")).tobytes()
+    return entry, stacked_bytes([part.pixels for part in parts])
 
 
 def range_of(parts: list[Codes]) -> list[float]:
