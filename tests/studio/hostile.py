@@ -15,6 +15,8 @@ from collections.abc import Callable
 from pathlib import Path
 from urllib.parse import urlsplit
 
+from torchmat.studio.place import cache_folder
+
 PATHS = (
     "/", "/js/studio.js", "/js/../../../etc/passwd", "/js/%2e%2e/%2e%2e/etc/passwd", "/js/..%2f..%2fetc%2fpasswd", "/map/diffuse",
     "/map/..%5c..%5csecret", "/map/%00", "/map/diffuse.png", "/map/link.png", "//etc/passwd", "/etc/passwd", "/%c0%ae%c0%ae/etc/passwd",
@@ -61,15 +63,19 @@ def attack(address: str, folder: Path, count: int, seed: int = 0) -> dict[str, i
         assert secret.encode() not in answer, data[:300]
         assert kind != "outsider" or status in ("403", "400", "closed", "431"), (data[:300], answer[:100])
     (folder / "link.png").unlink()
-    assert _outside(folder) == before, "something outside the folder was written"
+    after = _outside(folder)
+    changed = sorted(path for path in {*before, *after} if before.get(path) != after.get(path))
+    assert not changed, f"written outside the folder: {changed}"
     alive = _exchange(parts.port or 0, _head("/", parts.port or 0, token)).startswith(b"HTTP/1.1 200")
     return {"sent": sent, "seconds": time.monotonic() - began, "answers": alive, **found}
 
 
 def _outside(folder: Path) -> dict[str, str]:
+    """Digests of the files beside a material's folder, without those that are a studio's own to write: its folder, backups, log and cache."""
     found = {}
+    cache = cache_folder()
     for path in sorted(folder.parent.rglob("*")):
-        inside = path == folder or folder in path.parents or ".studio" in str(path) or ".backup-" in str(path) or path.name == "log"
+        inside = path == folder or folder in path.parents or ".studio" in str(path) or ".backup-" in str(path) or path.name == "log" or cache in path.parents
         if path.is_file() and not inside:
             found[str(path)] = hashlib.sha256(path.read_bytes()).hexdigest()
     return found
