@@ -19,7 +19,7 @@ LEVELS = {
     "icc": 1, "atomic": 1, "swap": 1, "channels": 1, "frames": 1, "images": 1, "text_file": 1, "places": 0, "metrics": 1, "bootstrap": 0, "sample": 1, "shipped": 1,
     "solvers": 1,
     "brdf": 2, "btf": 2, "geometry": 2, "models": 3, "fitting": 4, "rendering": 4, "scene_use": 2, "material_io": 4,
-    "create": 4, "web": 4, "report": 5, "many": 5, "studio": 6, "cli": 7,
+    "create": 4, "web": 4, "report": 5, "many": 5, "studio": 6, "capture": 6, "cli": 7,
 }
 _SIDE_BY_SIDE = {"fitting", "rendering", "material_io", "create"}
 ROOMS_THAT_DO_NOT_MEET = {room: _SIDE_BY_SIDE - {room} for room in _SIDE_BY_SIDE}
@@ -91,7 +91,7 @@ def _loaded(code: str, *modules: str) -> list[str]:
 
 
 def test_importing_the_package_loads_nothing_and_its_names_no_heavy_libraries():
-    heavy = ("matplotlib", "sklearn", "kornia", "OpenImageIO", "distributed", "trimesh")
+    heavy = ("matplotlib", "sklearn", "kornia", "OpenImageIO", "distributed", "trimesh", "cv2")
     assert _loaded("import torchmat, torchmat.errors, torchmat.cli; dir(torchmat)", "torch", "numpy", *heavy) == []
     assert _loaded("import torchmat; [getattr(torchmat, name) for name in torchmat.__all__]", *heavy) == []
 
