@@ -25,9 +25,9 @@ _SPHERES = ((0, 8, 3, 3), (14, 0, 3, 3))
 _PATCHES = {"white": ((0, 1, 2, 2), (15, 8, 2, 2)), "grey": ((0, 4, 2, 2), (15, 5, 2, 2))}
 _MARGIN = 10.0  # mm that printers may leave white, and a scale bar
 _BAR_HEIGHT, _BAR_STEP = 2.0, 50.0
-_RING = 0.4  # mm, width of the circle around a sphere
-_MODULES = 7  # of a marker along a side: five bits and its border
-_MARKER = 0.75  # of a square's side
+RING = 0.4  # mm, width of the circle around a sphere
+MODULES = 7  # of a marker along a side: five bits and its border
+MARKER = 0.75  # of a square's side
 _PER_SERIES = 1000 // SERIES
 DICTIONARY = "DICT_5X5_1000"
 Place = tuple[int, int, int, int]
@@ -120,7 +120,7 @@ class Board:
     @cached_property
     def marker_corners(self) -> np.ndarray:
         """The corners [m, 4, 2] of the markers in millimetres: top left, top right, bottom right, bottom left."""
-        rim = (1 - _MARKER) / 2
+        rim = (1 - MARKER) / 2
         offsets = np.array([[rim, rim], [rim, 1 - rim], [1 - rim, 1 - rim], [1 - rim, rim]])
         cells = self._marker_cells[:, None] + offsets
         return self._places(cells[..., 0], cells[..., 1])
@@ -131,19 +131,19 @@ class Board:
         inside = (column >= 0) & (column < COLUMNS) & (row >= 0) & (row < ROWS)
         column, row = np.where(inside, column, 0), np.where(inside, row, 0)
         cell_row, cell_column = row.astype(np.int32), column.astype(np.int32)
-        index = ((cell_row * COLUMNS + cell_column) * (_MODULES + 2) + _module(row - cell_row)) * (_MODULES + 2) + _module(column - cell_column)
-        found = np.where(inside, self._levels.reshape(-1)[index], np.float32(WHITE))
+        index = ((cell_row * COLUMNS + cell_column) * (MODULES + 2) + _module(row - cell_row)) * (MODULES + 2) + _module(column - cell_column)
+        found = np.where(inside, self.levels.reshape(-1)[index], np.float32(WHITE))
         for centre in self.sphere_centres:
             distance = np.hypot(x - centre[0], y - centre[1])
-            found[np.abs(distance - self.diameter / 2) < _RING / 2] = GREY
+            found[np.abs(distance - self.diameter / 2) < RING / 2] = GREY
         left, bottom, right, top = self.bar
         found[(x > left) & (x < right) & (y > bottom) & (y < top)] = BLACK
         return found
 
     @cached_property
-    def _levels(self) -> np.ndarray:
+    def levels(self) -> np.ndarray:
         """Reflectances [row, column, module row, module column], the rim of a square first and last."""
-        levels = np.full((ROWS, COLUMNS, _MODULES + 2, _MODULES + 2), WHITE, np.float32)
+        levels = np.full((ROWS, COLUMNS, MODULES + 2, MODULES + 2), WHITE, np.float32)
         rows, columns = np.indices((ROWS, COLUMNS))
         levels[self._whole & ((rows + columns) % 2 == 0)] = BLACK
         bits = marker_bits(self.marker_ids)
@@ -196,9 +196,9 @@ def marker_bits(ids: np.ndarray) -> np.ndarray:
     """Return the modules [n, 7, 7] of markers, their border among them; True is white."""
     aruco = opencv().aruco
     dictionary = aruco.getPredefinedDictionary(getattr(aruco, DICTIONARY))
-    return np.stack([aruco.generateImageMarker(dictionary, int(one), _MODULES) > 0 for one in ids])
+    return np.stack([aruco.generateImageMarker(dictionary, int(one), MODULES) > 0 for one in ids])
 
 
 def _module(share: np.ndarray) -> np.ndarray:
     """Return which module, 1 to 7, shares of a square's side fall into; its rim is 0 and 8."""
-    return np.clip(np.floor((share - (1 - _MARKER) / 2) * (_MODULES / _MARKER)) + 1, 0, _MODULES + 1).astype(np.int32)
+    return np.clip(np.floor((share - (1 - MARKER) / 2) * (MODULES / MARKER)) + 1, 0, MODULES + 1).astype(np.int32)
