@@ -154,6 +154,41 @@ def read_tags(path: str | Path) -> Tags:
         source.close()
 
 
+class Exif(NamedTuple):
+    """What a photograph says of how it was taken: None, or "", for what it does not say.
+
+    `size` is the stored width and height in pixels, `orientation` 1 to 8, `camera` its maker and model, `focal` in mm and `focal_35` in mm of
+    a film of 36 x 24, `exposure` in seconds, `aperture` the f-number, `iso` the sensitivity.
+    """
+
+    size: tuple[int, int]
+    orientation: int
+    camera: str
+    focal: float | None
+    focal_35: float | None
+    exposure: float | None
+    aperture: float | None
+    iso: float | None
+
+
+def read_exif(path: str | Path) -> Exif:
+    """Return what a photograph says of how it was taken; raises DataError, which names the file, when it cannot be opened."""
+    import OpenImageIO as oiio
+
+    source = oiio.ImageInput.open(_file_name(path))
+    if source is None:
+        raise _unreadable(path, _reason(oiio))
+    try:
+        spec, tags = source.spec(), _tags(source)
+        words = [str(spec.get_string_attribute(name)).strip(" \0") for name in ("Make", "Model")]
+        names = (("Exif:FocalLength",), ("Exif:FocalLengthIn35mmFilm",), ("ExposureTime",), ("FNumber",), ("Exif:PhotographicSensitivity", "Exif:ISOSpeedRatings"))
+        numbers = [max(spec.get_float_attribute(name, 0.0) for name in some) for some in names]
+        known = [number if 0 < number < float("inf") else None for number in numbers]
+        return Exif((spec.width, spec.height), tags.orientation, " ".join(word for word in words if word), *known)
+    finally:
+        source.close()
+
+
 def _tags(source: ImageInput) -> Tags:
     spec = source.spec()
     orientation, profile = spec.get_int_attribute("Orientation", 1), spec.getattribute("ICCProfile")
