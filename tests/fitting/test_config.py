@@ -113,6 +113,9 @@ circle = [10.5, 12, 8]
 intensities = "estimate"
 mask = "alpha"
 skip_bad_lights = true
+near = 300
+distance = 402.5
+falloff = true
 clipped_weight = 0
 """
     assert set(load_config(write(tmp_path, text)).data) == set(DATA_KEYS)

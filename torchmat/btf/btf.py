@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 
 from torchmat.btf.decode import Decoder
+from torchmat.btf.near import LIGHT, VIEW, Grid, Near, with_centre
 from torchmat.btf.pixels import checksum
 from torchmat.btf.store import CLIPPED, INVALID, VALID, PixelStore, summarise
 from torchmat.btf.stream import Block, runs, stream_blocks
@@ -22,6 +23,7 @@ from torchmat.geometry.mask import check_mask
 CLIPPED_WEIGHT = 0.05
 _LOOKED_AT = 16  # images whose codes tell one BTF from another
 _CODE = 1 << 20  # above all differences of rounded coordinates
+_ROUNDING = 1e-6  # of a product in single precision
 _DIRECTION_DECIMALS = 4  # directions closer than about 1e-4 (0.006 degrees) are one direction
 
 
@@ -39,12 +41,17 @@ class Source:
     mask: str = ""  # what the object mask was taken from
 
 
-def unique_directions(directions: Tensor) -> tuple[Tensor, Tensor]:
-    """Return the distinct rows of [n, 3] unit vectors, from the pole outward, and each row's index among them."""
+def unique_directions(directions: Tensor, position: Tensor | None = None) -> tuple[Tensor, Tensor]:
+    """Return the distinct rows of [n, 3] unit vectors, from the pole outward, and each row's index among them.
+
+    Where `position` [n, 3] differs, so do rows of one direction.
+    """
     rounded = torch.round(directions.double(), decimals=_DIRECTION_DECIMALS) + 0.0  # + 0.0 turns -0.0 into 0.0
     steps = (rounded * 10**_DIRECTION_DECIMALS).round().long()
     # One number a direction: torch compares rows of several ten times as slowly.
     code = (steps * torch.tensor([_CODE**2, _CODE, 1])).sum(dim=1)
+    if position is not None:
+        code = torch.unique(position.double().round(decimals=_DIRECTION_DECIMALS), dim=0, return_inverse=True)[1]
     distinct, inverse = torch.unique(code, return_inverse=True)
     first = torch.full((len(distinct),), len(directions), dtype=torch.long)
     first.scatter_reduce_(0, inverse, torch.arange(len(directions)), reduce="amin")
@@ -91,6 +98,8 @@ class Btf:
         clipped_weight: what a clipped sample counts in a fit, 0 to 1; an invalid one counts nothing.
         intensity: how bright each light was in red, green and blue [sample, 3]: values are divided by it; None is 1.
         mask: which texels show the object, bool [H, W]; None is all. The others are 0, without weight, in every image.
+        near: where near lights and cameras stand, None where all are far. Then `light` and `view` are the directions at the
+            texture's centre, and `directions` those at every texel.
     """
 
     def __init__(
@@ -103,6 +112,7 @@ class Btf:
         clipped_weight: float = CLIPPED_WEIGHT,
         intensity: Tensor | None = None,
         mask: Tensor | None = None,
+        near: Near | None = None,
     ) -> None:
         self._store = store
         self._decoder = decoder
@@ -112,11 +122,15 @@ class Btf:
         self.clipped_weight = clipped_weight
         self.intensity = intensity
         self.mask = mask
+        self.near = near
         self._validate()
-        self.lights, self.light_index = unique_directions(light)
-        self.views, self.view_index = unique_directions(view)
+        self._find_distinct()
         # Codes that can clip do so somewhere, whether or not this texel or that window shows it.
         self.may_clip = decoder.full_code is not None or bool(store.clipped.any())
+
+    def _find_distinct(self) -> None:
+        self.lights, self.light_index = unique_directions(self.light, self.light_position)
+        self.views, self.view_index = unique_directions(self.view, self.view_position)
 
     def _validate(self) -> None:
         where, count = self.source.path, len(self._store.pixels)
@@ -134,6 +148,8 @@ class Btf:
         if self.mask is not None and (self.mask.shape != (self.height, self.width) or self.mask.dtype != torch.bool):
             fact = f"it is {list(self.mask.shape)} of {self.mask.dtype}"
             raise ShapeError(message(where, "mask", f"be bool [{self.height}, {self.width}]", fact))
+        if self.near is not None:
+            self.near.check(where, count)
         below = self.view[:, 2] <= 0
         if bool(below.any()):
             fact = f"{int(below.sum())} of {count} views have z <= 0, first at sample {int(below.nonzero()[0, 0])}"
@@ -144,17 +160,25 @@ class Btf:
 
     @classmethod
     def from_tensors(
-        cls, images: Tensor | np.ndarray, light: Tensor | np.ndarray, view: Tensor | np.ndarray,
-        weight: Tensor | np.ndarray | None = None,
+        cls, images: Tensor | np.ndarray, light: Tensor | np.ndarray | None, view: Tensor | np.ndarray | None,
+        weight: Tensor | np.ndarray | None = None, *, light_position: Tensor | np.ndarray | None = None,
+        view_position: Tensor | np.ndarray | None = None, falloff: bool = True,
     ) -> Btf:
         """Build a Btf from linear images [sample, 3, H, W] and unit directions [sample, 3].
 
+        Of near lights or cameras `light_position` or `view_position` [sample, 3] says where they stand, in widths of the
+        texture from its centre (x right, y up, z along the normal); `light` or `view` is None then, or the direction at the
+        centre. `falloff` says that the images darken with the square of the distance to a near light, which is taken out:
+        a value is then what the light would give at the distance that it has from the centre. False is for images that were
+        normalised already.
+
         Images are floating point, and used as they are where they are float32 or float64 (not copied). `weight`
         [sample, 1, H, W] or [sample, H, W], boolean or 0/1, marks the samples that count; where it is 0 the image may
-        hold anything, NaN included. Raises ShapeError, RangeError (codes, not finite, not unit, view below).
+        hold anything, NaN included. Raises ShapeError, RangeError (codes, not finite, not unit, view below, positions that
+        are not above the surface or in it).
         """
         where = "Btf.from_tensors"
-        images, light, view = (torch.as_tensor(value).detach() for value in (images, light, view))
+        images = torch.as_tensor(images).detach()
         if images.ndim != 4 or images.shape[1] != 3 or 0 in images.shape:
             fact = f"their shape is {tuple(images.shape)}"
             step = "Put the three colours on dimension 1."
@@ -172,8 +196,14 @@ class Btf:
             images = torch.where(off[:, None], torch.zeros((), dtype=dtype), images)
         check_finite(where, "images", images, "Repair those values, or give them weight 0.")
         pixels = images.contiguous().numpy()
+        given = (light, view, light_position, view_position)
+        towards = [None if one is None else torch.as_tensor(one).detach().to(dtype) for one in given]
+        near = None if towards[2] is towards[3] is None else Near(towards[2], towards[3], Grid.whole(height, width), bool(falloff))
+        if near is not None:
+            near.check(where, count)
+        light, view = with_centre(where, LIGHT, towards[0], towards[2]), with_centre(where, VIEW, towards[1], towards[3])
         origin = Source(notes=_below_notes(light))
-        return cls(summarise(pixels, flags), light.to(dtype), view.to(dtype), Decoder(pixels.dtype, "linear", 1.0), origin)
+        return cls(summarise(pixels, flags), light, view, Decoder(pixels.dtype, "linear", 1.0), origin, near=near)
 
     def window(self, top: int, left: int, height: int, width: int, step: int = 1) -> Btf:
         """Return the same samples of a part of the texels, or of every `step`-th of them in rows and columns.
@@ -194,6 +224,7 @@ class Btf:
         part._store = self._store.window(rows, columns)
         mask = None if self.mask is None else self.mask[rows, columns]
         part.mask = None if mask is None or bool(mask.all()) else mask
+        part.near = None if self.near is None else self.near.window(rows, columns)
         return part
 
     def masked(self, mask: Tensor, source: str = "") -> Btf:
@@ -252,6 +283,7 @@ class Btf:
         arrays = [self.light.numpy(), self.view.numpy(), store.clipped, store.invalid]
         arrays += [array for array in (store.low, store.high) if array is not None]
         arrays += [part.numpy() for part in (self.intensity, self.mask) if part is not None]
+        arrays += [] if self.near is None else [part.numpy() for part in self.near.arrays()]
         chosen = np.linspace(0, len(self) - 1, min(len(self), _LOOKED_AT)).round().astype(int)
         arrays += [part[row] for part in (store.pixels, store.flags) if part is not None for row in chosen]
         for array in arrays:
@@ -284,13 +316,66 @@ class Btf:
         part.lights = self.lights[kept]
         kept, part.view_index = self.view_index[rows].unique(return_inverse=True)
         part.views = self.views[kept]
+        part.near = None if self.near is None else self.near.picked(torch.from_numpy(rows))
+        return part
+
+    @property
+    def light_position(self) -> Tensor | None:
+        """Where near lights stand, [sample, 3] in widths of the texture from its centre; None of far ones."""
+        return None if self.near is None else self.near.light
+
+    @property
+    def view_position(self) -> Tensor | None:
+        """Where near cameras stand, [sample, 3] in widths of the texture from its centre; None of far ones."""
+        return None if self.near is None else self.near.view
+
+    def directions(self, samples: Sequence[int] | Tensor, dtype: torch.dtype | None = None) -> tuple[Tensor, Tensor]:
+        """Return light and view of chosen samples as unit planes: [k, 3, 1, 1], or [k, 3, H, W] of what is near."""
+        rows = torch.from_numpy(self._rows(samples))
+        return self._planes(LIGHT, rows, dtype), self._planes(VIEW, rows, dtype)
+
+    def _planes(self, which: str, rows: Tensor, dtype: torch.dtype | None) -> Tensor:
+        direction = self.light if which == LIGHT else self.view
+        dtype = dtype or direction.dtype
+        found = None if self.near is None else self.near.directions(which, rows, dtype)
+        return direction[rows].to(dtype)[:, :, None, None] if found is None else found
+
+    def light_planes(self, numbers: Tensor, dtype: torch.dtype | None = None) -> Tensor:
+        """Return the distinct lights of numbers [k] as unit planes, [k, 3, 1, 1] or [k, 3, H, W]."""
+        return self._planes(LIGHT, self._first_of(self.light_index, numbers), dtype)
+
+    def view_planes(self, numbers: Tensor, dtype: torch.dtype | None = None) -> Tensor:
+        """Return the distinct views of numbers [k] as unit planes, [k, 3, 1, 1] or [k, 3, H, W]."""
+        return self._planes(VIEW, self._first_of(self.view_index, numbers), dtype)
+
+    def _first_of(self, index: Tensor, numbers: Tensor) -> Tensor:
+        first = torch.full((int(index.max()) + 1,), len(index), dtype=torch.long)
+        return first.scatter_reduce_(0, index, torch.arange(len(index)), reduce="amin")[numbers]
+
+    def far(self) -> Btf:
+        """Return the same images as if near lights and cameras were far: the direction at the centre holds for all texels.
+
+        An approximation, fall-off and all: 30 cm under a dome of 80 cm are off by up to 20 degrees.
+        """
+        if self.near is None:
+            return self
+        part = copy.copy(self)
+        part.near = None
+        part._find_distinct()
+        return part.noted(f"warning: {self.near.sentence()}; they are taken for far ones")
+
+    def with_near(self, near: Near | None) -> Btf:
+        """Return the same images with other places of lights, cameras or texels."""
+        part = copy.copy(self)
+        part.near = near
         return part
 
     def __len__(self) -> int:
         return len(self._store.pixels)
 
     def __repr__(self) -> str:
-        directions = f"{len(self.lights)} lights, {len(self.views)} views"
+        near = {which: "near " if self.near is not None and self.near.positions(which) is not None else "" for which in (LIGHT, VIEW)}
+        directions = f"{len(self.lights)} {near[LIGHT]}lights, {len(self.views)} {near[VIEW]}views"
         return f"Btf({self.source.kind}, {len(self)} samples, {directions}, {self.height} x {self.width})"
 
     @property
@@ -341,6 +426,8 @@ class Btf:
         """Smallest and largest linear value over all images, of the object where there is a mask."""
         if self.mask is not None:
             return self._range_of(lambda images: images[:, :, self.mask])
+        if self.near is not None and self.near.gain(torch.arange(0), torch.float32) is not None:
+            return self._range_of(lambda images: images)
         if self.intensity is not None:
             return self._divided_range(1 / self.intensity)
         ends = np.array(self._store.ends()).astype(self._store.pixels.dtype)
@@ -377,7 +464,13 @@ class Btf:
             self._store.release(range(int(rows.min()), int(rows.max()) + 1))
         images = self._decoder.into(codes, torch.empty(codes.shape, dtype=dtype))
         images = images if self.intensity is None else images.div_(self.intensity[rows][:, :, None, None].to(dtype))
+        gain = self._gain(rows, dtype)
+        images = images if gain is None else images.mul_(gain)
         return images if self.mask is None else images.masked_fill_(~self.mask, 0)
+
+    def _gain(self, rows: np.ndarray | range, dtype: torch.dtype) -> Tensor | None:
+        """Return what takes the fall-off of near lights out of images, [k, 1, H, W]; None where there is nothing to take."""
+        return None if self.near is None else self.near.gain(torch.as_tensor(rows), dtype)
 
     def _marks(self, samples: np.ndarray | slice, outside: int = INVALID) -> np.ndarray | None:
         """Return the flags [k, H, W] of some samples, `outside` off the object; None where all are valid."""
@@ -421,7 +514,9 @@ class Btf:
         level = torch.full((1, 3), self.clip_level, dtype=images.dtype)
         if self.intensity is not None:
             level = level / self.intensity[self._rows(indices)].to(images.dtype)
-        return self.clipped(indices) & (images >= level[:, :, None, None])
+        level = level[:, :, None, None]
+        gain = self._gain(self._rows(indices), images.dtype)
+        return self.clipped(indices) & (images >= (level if gain is None else level * gain * (1 - _ROUNDING)))
 
     def _range_of(self, part: Callable[[Tensor], Tensor]) -> tuple[float, float]:
         ends = [part(self.images([row])).aminmax() for row in range(len(self))]
@@ -476,6 +571,9 @@ class Btf:
         for block in stream_blocks(self._store, self._decoder, weigh, wanted, dtype, progress):
             if self.intensity is not None:
                 block.images.div_(self.intensity[block.samples.start : block.samples.stop, :, None, None].to(dtype))
+            gain = self._gain(block.samples, dtype)
+            if gain is not None:
+                block.images.mul_(gain)
             if self.mask is not None:
                 block.images.masked_fill_(~self.mask, 0)
             yield block

@@ -34,7 +34,7 @@ from torchmat.btf.store import PixelStore
 from torchmat.errors import DataError, RangeError, message, notice
 from torchmat.text_file import read_text
 
-_FORMAT = 5
+_FORMAT = 6
 _HEADER, _TABLE, _PIXELS, _FLAGS = "header.json", "table.npz", "pixels.raw", "flags.raw"
 _STORE_NAME = re.compile("[0-9a-f]{24}")
 _SPOT_BYTES = 8_000_000  # of a cached store are held against its table; more would be felt on each load
@@ -90,12 +90,15 @@ def _write(source: File | Folder | Zip, listing: Listing, folder: Path, options:
     columns: dict[str, Any] = {"light": listing.light.numpy(), "view": listing.view.numpy(), **table}
     if listing.intensity is not None:
         columns["intensity"] = listing.intensity.numpy()
+    positions = {"light_position": listing.light_position, "view_position": listing.view_position}
+    columns |= {name: one.numpy() for name, one in positions.items() if one is not None}
     np.savez(folder / _TABLE, files=np.array(listing.files), **columns)
     header = {
         "format": _FORMAT, "fingerprint": source.fingerprint, "kind": listing.kind, "source": str(source.path),
         "shape": shape, "dtype": normalise.out_dtype.name, "table": zlib.crc32((folder / _TABLE).read_bytes()),
         "linear": options.downscale > 1 or normalise.xyz, "xyz": normalise.xyz,
         "flagged": bool(table["clipped"].any() or table["invalid"].any()), "notes": listing.notes,
+        "picture": images.shape[:2], "falloff": listing.falloff,
     }
     (folder / _HEADER).write_text(json.dumps({**header, "checksum": _checksum_of(header)}))
 
@@ -115,13 +118,14 @@ def _require_space(folder: Path, size: int) -> None:
 
 @dataclass(frozen=True)
 class OpenStore:
-    """A store that is ready for use, with what the listing said about it."""
+    """A store that is ready for use, with what the listing said about it; `picture` is the images' size before crop and shrinking."""
 
     store: PixelStore
     listing: Listing
     linear: bool
     xyz: bool
     from_cache: bool
+    picture: tuple[int, int]
 
 
 def _open(folder: Path, fingerprint: str) -> OpenStore | None:
@@ -150,8 +154,14 @@ def _open(folder: Path, fingerprint: str) -> OpenStore | None:
         return None
     light, view = torch.from_numpy(arrays["light"]), torch.from_numpy(arrays["view"])
     intensity = torch.from_numpy(arrays["intensity"]) if "intensity" in arrays else None
-    listing = Listing(header["kind"], tuple(arrays["files"].tolist()), light, view, intensity, tuple(header["notes"]))
-    return OpenStore(store, listing, header["linear"], header["xyz"], True)
+    light_at, view_at = (
+        torch.from_numpy(arrays[name]) if name in arrays else None for name in ("light_position", "view_position")
+    )
+    listing = Listing(
+        header["kind"], tuple(arrays["files"].tolist()), light, view, intensity, tuple(header["notes"]),
+        light_position=light_at, view_position=view_at, falloff=header["falloff"],
+    )
+    return OpenStore(store, listing, header["linear"], header["xyz"], True, (header["picture"][0], header["picture"][1]))
 
 
 def _matches_table(store: PixelStore, checksums: np.ndarray) -> bool:

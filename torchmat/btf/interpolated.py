@@ -13,6 +13,7 @@ from torch import Tensor
 
 from torchmat import safe
 from torchmat.btf.btf import Btf
+from torchmat.btf.near import far_only
 from torchmat.btf.neighbours import Triangulation
 from torchmat.btf.pairs import measured_pairs
 from torchmat.errors import RangeError, ShapeError, message
@@ -40,7 +41,7 @@ class RawBtf:
             held in memory; larger data is read for each picture anew.
         dtype: precision of directions and values.
 
-    Raises DataError when no light stands above the surface, or when lights and views are scattered over more than a
+    Raises RangeError for near lights or cameras, whose images are of no one direction, DataError when no light stands above the surface, or when lights and views are scattered over more than a
     million combinations.
     """
 
@@ -53,6 +54,7 @@ class RawBtf:
         if not memory_gb >= 0:
             step = "0 reads the images for each picture anew."
             raise RangeError(message("RawBtf", "memory_gb", "not be negative", f"it is {memory_gb}", step))
+        far_only("RawBtf", btf.near)
         self.tiles = tiles
         self.dtype = dtype
         self.size = (btf.height, btf.width)

@@ -113,7 +113,7 @@ def _sample(btf: Btf) -> _Sample:
 def one_view(btf: Btf) -> bool:
     """Tell whether a capture is of one view, under lights that photometric stereo can do with."""
     light = btf.light[btf.light[:, 2] > 0].double()
-    if len(btf.views) > 1 or len(light) < 4:
+    if len(btf.views) > 1 or len(light) < 4 or btf.near is not None:
         return False
     values = torch.linalg.svdvals(light)
     return float(values[2]) > 0.02 * float(values[0])

@@ -24,6 +24,9 @@ class Listing:
 
     `intensity` [n, 3] is what values are divided by: how bright each light was. `notes` say what was taken for what;
     `faults` are the texts of errors that are raised unless bad lights are to be skipped.
+
+    Near lights and cameras have positions [n, 3], float64, in widths of the whole picture from its centre; `light` or `view`
+    then follow from them. `falloff` says whether the images show how light falls off with distance.
     """
 
     kind: str
@@ -33,6 +36,9 @@ class Listing:
     intensity: Tensor | None = None
     notes: tuple[str, ...] = ()
     faults: tuple[str, ...] = ()
+    light_position: Tensor | None = None
+    view_position: Tensor | None = None
+    falloff: bool = True
 
 
 def natural(name: str) -> tuple[tuple[int, int, str], ...]:

@@ -25,6 +25,7 @@ from torchmat.btf.pixels import PixelOptions, has_profile, tag_notes
 from torchmat.btf.reader import READERS
 from torchmat.btf.readers import keep_samples, open_source, read_listing, reading_key
 from torchmat.btf.source import File, Folder, Zip
+from torchmat.btf.standing import Standing, near_of
 from torchmat.btf.stereo import DIRECTIONS
 from torchmat.btf.store import PixelStore
 from torchmat.errors import RangeError, TorchmatError, check_option, check_positive, message
@@ -52,6 +53,9 @@ def load_btf(
     circle: Sequence[float] | None = None,
     intensities: str | Path | None = None,
     skip_bad_lights: bool = False,
+    near: float | None = None,
+    distance: float | None = None,
+    falloff: bool | None = None,
     clipped_weight: float = CLIPPED_WEIGHT,
     mask: str | Path | Tensor | np.ndarray | None = None,
     cache: bool | str | Path = True,
@@ -85,6 +89,13 @@ def load_btf(
             or "estimate", what makes a matte surface fit best (`estimate_intensities`). None takes those of the table.
         skip_bad_lights: whether to leave out lights below the surface or without a direction, and lines whose photograph is
             not there; else they are an error. How many is in ``btf.source.notes``.
+        near: width of the pictured sample, in the unit of the vectors that the table of lights holds: they are then positions of
+            near lights from the sample's centre (of the whole picture, whatever the crop), and each texel has a direction of
+            its own. None takes lights for far, unless a manifest says otherwise (`sample_width`).
+        distance: how far all lights are from the sample's centre, in the unit of `near`, where a table holds directions: the
+            radius of a dome.
+        falloff: whether the images darken with the distance to near lights, which is taken out; False of images that were
+            normalised already. None is as a manifest says, else True.
         clipped_weight: what a clipped sample counts in a fit, 0 to 1.
         mask: which texels show the object; the others count nowhere. The path of a picture in the photographs' size (white is
             the object), bool [H, W] of the texels, "alpha" of the photographs, "background" for what is not dark in all of
@@ -103,7 +114,9 @@ def load_btf(
     path, kind, lighting = _lighting(Path(path), kind, light_table, ball, circle)
     estimate = intensities == ESTIMATE
     given = None if intensities is None or estimate else read_text(intensities, "the intensities")
-    normalise = normalise or light_table is not None
+    normalise = normalise or light_table is not None or distance is not None
+    standing = Standing(near, distance, falloff)
+    standing.check()
     options = PixelOptions(
         crop=_crop(crop),
         downscale=_whole("downscale", downscale),
@@ -120,9 +133,10 @@ def load_btf(
         opened = open_store(
             source,
             lambda: _listed(
-                source, kind, duplicates, normalise, skip_bad_lights, lighting, None if given is None else (str(intensities), given)
+                source, kind, duplicates, normalise, skip_bad_lights, lighting, None if given is None else (str(intensities), given),
+                standing,
             ),
-            (*reading_key(source, kind), duplicates, normalise, skip_bad_lights, lighting and lighting.key, given), options,
+            (*reading_key(source, kind), duplicates, normalise, skip_bad_lights, lighting and lighting.key, given, *standing.key), options,
             cache, progress,
         )
         listing, store = _select(opened.listing, opened.store, lights, views, str(path))
@@ -131,7 +145,8 @@ def load_btf(
         seconds = time.perf_counter() - start
         origin = Source(listing.kind, str(path), listing.files, seconds, opened.from_cache, listing.notes, opened.xyz)
         intensity = None if listing.intensity is None else listing.intensity.float()
-        btf = Btf(store, listing.light.float(), listing.view.float(), decoder, origin, clipped_weight, intensity)
+        placed = near_of(listing, opened.picture, options.crop, options.downscale)
+        btf = Btf(store, listing.light.float(), listing.view.float(), decoder, origin, clipped_weight, intensity, near=placed)
         btf = chosen_mask(source, listing, btf, mask, options.crop, options.downscale)
     except TorchmatError as error:
         told = source.told(error) if isinstance(source, File) else error
@@ -167,11 +182,11 @@ def _lighting(
 
 def _listed(
     source: File | Folder | Zip, kind: str | None, duplicates: str, normalise: bool, skip_bad_lights: bool,
-    lighting: Lighting | None, intensities: tuple[str, str] | None,
+    lighting: Lighting | None, intensities: tuple[str, str] | None, standing: Standing,
 ) -> Listing:
     """Return the samples of a source, with the lighting and the (file, text) of intensities that are given beside it."""
     lister = None if lighting is None else lighting.lister
-    listing = read_listing(source, kind, duplicates, normalise, skip_bad_lights, lister, intensities)
+    listing = read_listing(source, kind, duplicates, normalise, skip_bad_lights, lister, intensities, standing)
     return dataclasses.replace(listing, notes=(*listing.notes, *tag_notes(source, listing)))
 
 

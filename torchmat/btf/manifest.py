@@ -1,4 +1,4 @@
-"""``manifest.csv``: one line an image, with its light and view as angles or vectors."""
+"""``manifest.csv``: one line an image, with its light and view as angles or vectors, or where they stand."""
 
 from __future__ import annotations
 
@@ -6,8 +6,9 @@ import csv
 import io
 import math
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import PurePosixPath
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -17,6 +18,9 @@ from torchmat.btf.pixels import images_of_files
 from torchmat.btf.reader import Reader
 from torchmat.btf.source import Folder, Zip
 from torchmat.errors import DataError, message
+
+
+_WIDTH, _FALLOFF = "sample_width", "falloff"
 
 
 def _number(where: str, column: str, text: str) -> float:
@@ -118,8 +122,43 @@ def _is_manifest(name: str) -> bool:
     return PurePosixPath(name).name.lower() == "manifest.csv"
 
 
+def _one_number(where: str, name: str, rows: list[tuple[int, dict[str, str]]], allowed: str, good: Callable[[float], bool]) -> float:
+    """Return the number of a column that has one throughout; raises DataError, which names the line, where it has not."""
+    first: float | None = None
+    for number, row in rows:
+        value = _number(f"{where}: line {number}", name, row[name])
+        if not good(value) or (first is not None and value != first):
+            fact = f"it is {value:g}" + ("" if first is None else f", above {first:g}")
+            raise DataError(message(f"{where}: line {number}", name, f"be {allowed}, and the same on all lines", fact))
+        first = value
+    assert first is not None  # a table has a line
+    return first
+
+
+def _positions(where: str, header: list[str], rows: list[tuple[int, dict[str, str]]], columns: list[_Columns], found: list[Tensor]) -> dict[str, Any]:
+    """Return the fields of a Listing that say where lights and cameras stand; none without a column `sample_width`."""
+    if _WIDTH not in header:
+        if _FALLOFF in header:
+            step = "Add sample_width, in the unit of light_x, light_y, light_z, or remove the column."
+            raise DataError(message(where, _FALLOFF, f"come with {_WIDTH}", "there is none", step))
+        return {}
+    width = _one_number(where, _WIDTH, rows, "positive", lambda value: value > 0)
+    near = {f"{one.which}_position": value / width for one, value in zip(columns, found, strict=True) if one.unit == "xyz"}
+    if not near:
+        step = "Give light_x, light_y, light_z from the sample's centre in its unit, or remove the column."
+        raise DataError(message(where, _WIDTH, "come with positions", "lights and views are angles", step))
+    falloff = _FALLOFF not in header or _one_number(where, _FALLOFF, rows, "0 or 1", lambda value: value in (0, 1)) == 1
+    named = " and ".join({"light_position": "lights", "view_position": "cameras"}[name] for name in near)
+    return {**near, "falloff": falloff, "notes": (f"{named} are near: positions over a sample {width:g} wide",)}
+
+
 def read_manifest(source: Folder | Zip) -> Listing:
-    """Parse ``manifest.csv``: a column `file`, and light and view as polar and azimuth (deg or rad) or x, y, z."""
+    """Parse ``manifest.csv``: a column `file`, and light and view as polar and azimuth (deg or rad) or x, y, z.
+
+    With a column `sample_width`, how wide the pictured sample is, x, y, z are positions from its centre in the same unit: of
+    near lights, and of near cameras where views have x, y, z too. Column `falloff`: 1 where the images darken with the
+    distance to the light (as without the column), 0 where that was taken out.
+    """
     name = the_one(source, _is_manifest, "manifest.csv")
     where = f"{source.path}: {name}"
     header, rows = _table(where, read_text(source, name))
@@ -136,7 +175,8 @@ def read_manifest(source: Folder | Zip) -> Listing:
         for column, target in zip(columns, values, strict=True):
             target.append(column.read(line, row))
     light, view = (column.directions(where, target) for column, target in zip(columns, values, strict=True))
-    return Listing("manifest", tuple(files), light, view)
+    near = _positions(where, header, rows, columns, [light, view])
+    return Listing("manifest", tuple(files), light, view, **near)
 
 
 MANIFEST = Reader(

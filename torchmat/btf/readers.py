@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path, PurePosixPath
+from typing import Any
 
 import numpy as np
 import torch
@@ -23,6 +24,7 @@ from torchmat.btf.lp import RTI
 from torchmat.btf.manifest import MANIFEST
 from torchmat.btf.names import UBO2003, UTIA
 from torchmat.btf.packed import packed_file
+from torchmat.btf.standing import Standing
 from torchmat.btf.reader import DTYPES, READERS, Pixels, Reader, register_reader
 from torchmat.btf.source import File, Folder, Zip
 from torchmat.btf.stereo import STEREO
@@ -32,6 +34,7 @@ from torchmat.errors import DataError, message
 _UNIT_TOLERANCE = 1e-3
 _ROUNDED = 0.01  # what rounding to two decimals may do to a length
 _VARYING = 1.05  # lengths that differ more are those of positions
+_OF_SAMPLES = ("intensity", "light_position", "view_position")
 
 for _reader in (MANIFEST, RTI, UBO2003, UTIA, STEREO, BRDF, UBO2014, NEURALBTF):
     register_reader(_reader)
@@ -113,17 +116,19 @@ def reading_key(source: File | Folder | Zip, kind: str | None) -> tuple[object, 
 def read_listing(
     source: File | Folder | Zip, kind: str | None, duplicates: str, normalise: bool, skip_bad_lights: bool = False,
     lister: Callable[[Folder | Zip], Listing] | None = None, intensities: tuple[str, str] | None = None,
+    standing: Standing = Standing(),
 ) -> Listing:
     """Return the samples of a source with unit directions, checked; errors name the file.
 
     `skip_bad_lights` leaves out, and counts in the notes, what would else be refused: lights below the surface or without
     a direction, and lines whose photograph is not there. `lister` reads photographs with a table that lies elsewhere, in
-    place of the reader of `kind`; `intensities` are the name and the text of a file of the lights' intensities.
+    place of the reader of `kind`; `intensities` are the name and the text of a file of the lights' intensities; `standing`
+    says where near lights stand.
     """
     reader = READERS[KIND] if lister else READERS[kind] if kind else find_reader(source)
     with reader.at_work(source):
         listing = _by_lister(source, lister) if lister else reader.listing(source)
-    listing = _well_formed(source, reader, listing)
+    listing = standing.of(str(source.path), _well_formed(source, reader, listing))
     if listing.faults and not skip_bad_lights:
         raise DataError(listing.faults[0])
     if intensities:
@@ -152,8 +157,8 @@ def _by_lister(source: File | Folder | Zip, lister: Callable[[Folder | Zip], Lis
 def keep_samples(listing: Listing, keep: Tensor) -> Listing:
     """Return a listing of the samples that `keep`, bool [n], marks."""
     files = tuple(file for file, kept in zip(listing.files, keep.tolist(), strict=True) if kept)
-    intensity = None if listing.intensity is None else listing.intensity[keep]
-    return replace(listing, files=files, light=listing.light[keep], view=listing.view[keep], intensity=intensity)
+    some: dict[str, Any] = {name: None if (part := getattr(listing, name)) is None else part[keep] for name in _OF_SAMPLES}
+    return replace(listing, files=files, light=listing.light[keep], view=listing.view[keep], **some)
 
 
 def _without_bad_lights(source: File | Folder | Zip, listing: Listing) -> tuple[Listing, list[str]]:
@@ -183,7 +188,13 @@ def _well_formed(source: File | Folder | Zip, reader: Reader, listing: Listing) 
     if intensity is not None and (intensity.shape != (count, 3) or not bool((torch.isfinite(intensity) & (intensity > 0)).all())):
         fact = f"they are {tuple(intensity.shape)}, the least {float(intensity.min()) if intensity.numel() else 0:g}"
         raise DataError(message(where, "its intensities", f"be [{count}, 3] and positive", fact))
-    return replace(listing, kind=reader.name, files=tuple(listing.files), light=light, view=view, intensity=intensity)
+    near: dict[str, Any] = {name: getattr(listing, name) for name in ("light_position", "view_position")}
+    near = {name: None if one is None else torch.as_tensor(one, dtype=torch.float64) for name, one in near.items()}
+    if any(one is not None and one.shape != (count, 3) for one in near.values()):
+        raise DataError(message(where, "its positions", f"be [{count}, 3]", "they are not"))
+    light, view = (given if one is None else one for given, one in zip((light, view), near.values(), strict=True))
+    found = replace(listing, kind=reader.name, files=tuple(listing.files), light=light, view=view, intensity=intensity)
+    return replace(found, **near)
 
 
 @contextmanager
@@ -235,30 +246,41 @@ def _checked(where: str, reader: Reader, source: File | Folder | Zip, opened: Pi
 def _unit(source: File | Folder | Zip, listing: Listing, which: str, normalise: bool) -> tuple[Tensor, list[str]]:
     """Return directions of length 1, and notes on those that were brought to it."""
     directions: Tensor = getattr(listing, which)
+    near = getattr(listing, f"{which}_position") is not None
     largest = directions.abs().amax(dim=1, keepdim=True)  # or squares of positions far away would leave the range of numbers
     length = (directions / largest).nan_to_num(0.0, 0.0, 0.0).norm(dim=1, keepdim=True) * largest
     none = (largest == 0) | ~torch.isfinite(largest)
-    bad = none if normalise else none | ((length - 1).abs() > _ROUNDED)
+    bad = none if normalise or near else none | ((length - 1).abs() > _ROUNDED)
     if bool(bad.any()):
         first = int(bad[:, 0].nonzero()[0, 0])
         fact = f"{int(bad.sum())} of {len(bad)} are not, first of length {float(length[first, 0]):.6g}"
-        step = "Divide each by its length, or pass normalise=True (--normalise) if they are positions of far lights."
+        step = "Divide each by its length, or pass normalise=True (--normalise) if they are positions of far lights"
+        step += "; of near ones give the sample's width in their unit, near=WIDTH (--near WIDTH)." if which == "light" else "."
         if bool(none[first]):
             step = "It says nothing about a direction; correct or remove it."
             step += " skip_bad_lights=True (--skip-bad-lights) leaves it out." if which == "light" else ""
         where = f"{source.path}: {listing.files[first]}"
         raise DataError(message(where, f"the {which} direction", "be a unit vector", fact, step))
-    off = int(((length - 1).abs() > _UNIT_TOLERANCE).sum())
-    notes = [] if not off else [
-        f"{off} of {len(length)} {which} directions were brought to length 1; they were {float(length.min()):.4g} to "
-        f"{float(length.max()):.4g} long"
-    ]
-    if off and which == "light" and float(length.max()) > _VARYING * float(length.min()):
-        notes.append("warning: the lights look like positions; they are taken for directions of far lights, which is wrong "
-                     "near the edge of a surface that is not small beside its distance to them")
+    notes = [] if near else _length_notes(which, length)
     usual = (length > 1e-150) & (length < 1e150)
     scaled = torch.where(usual, directions, directions / largest)
     return scaled / scaled.norm(dim=1, keepdim=True), notes
+
+
+def _length_notes(which: str, length: Tensor) -> list[str]:
+    """Return notes on vectors [n, 3] of `length` [n, 1] that are brought to length 1; none where they had it."""
+    off = int(((length - 1).abs() > _UNIT_TOLERANCE).sum())
+    if not off:
+        return []
+    least, most = float(length.min()), float(length.max())
+    said = f"{off} of {len(length)} {which} directions were brought to length 1; they were {least:.4g} to {most:.4g} long"
+    if which != "light" or bool(((length - 1).abs() <= _ROUNDED).all()):
+        return [said]
+    step = "If they are positions of near lights, give the sample's width in their unit: near=WIDTH (--near WIDTH)"
+    if most <= _VARYING * least:
+        return [f"warning: {said}. {step}"]
+    return [said, "warning: the lights look like positions; they are taken for directions of far lights, which is wrong near the "
+            f"edge of a surface that is not small beside its distance to them. {step}"]
 
 
 def _refuse_below(source: File | Folder | Zip, listing: Listing) -> None:
@@ -278,7 +300,8 @@ def _refuse_below(source: File | Folder | Zip, listing: Listing) -> None:
 
 def _refuse_duplicates(source: File | Folder | Zip, listing: Listing) -> None:
     seen: dict[tuple[float, ...], str] = {}
-    keys = torch.round(torch.cat((listing.light, listing.view), dim=1), decimals=5) + 0.0
+    known = [part for part in (listing.light, listing.view, listing.light_position, listing.view_position) if part is not None]
+    keys = torch.round(torch.cat(known, dim=1), decimals=5) + 0.0
     for file, key in zip(listing.files, map(tuple, keys.tolist()), strict=True):
         if key in seen:
             where, fact = f"{source.path}: {file}", f"it has those of {seen[key]}"

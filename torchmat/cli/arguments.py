@@ -20,7 +20,9 @@ class DataArguments:
 
     reads: ClassVar = ("lights", "ball", "mask_file")
     words: ClassVar = {"encoding": ENCODINGS, "invalid": ("error", "mask"), "duplicates": ("error", "keep")}
-    bounds: ClassVar = {"exposure": POSITIVE, "downscale": FROM_1, "clipped_weight": ("lie in [0, 1]", 0, 1)}
+    bounds: ClassVar = {
+        "exposure": POSITIVE, "downscale": FROM_1, "near": POSITIVE, "distance": POSITIVE, "clipped_weight": ("lie in [0, 1]", 0, 1),
+    }
     cache: Path | None = None
     """Folder for decoded images (default: the user's cache folder, or $TORCHMAT_CACHE)."""
     no_cache: bool = False
@@ -56,6 +58,13 @@ class DataArguments:
     photographs, from the border on: a guess), or none (default: a mask.png beside them, else their alpha)."""
     skip_bad_lights: bool = False
     """Leave out lights below the surface and lines whose photograph is not there, instead of refusing all."""
+    near: float | None = None
+    """Width of the pictured sample in the unit of the table's vectors: they are then positions of near lights from the sample's
+    centre, and each texel has a direction of its own (default: lights are far, unless a manifest has a sample_width)."""
+    distance: float | None = None
+    """How far all lights are from the sample's centre, in the unit of --near, where the table holds directions: a dome's radius."""
+    no_falloff: bool = False
+    """The images do not darken with the distance to near lights: that was taken out already."""
     write_lights: Path | None = None
     """Write the lights of photographs under one view as an .lp file; with --ball also a picture of its highlights."""
     verbose: bool = False
@@ -70,9 +79,10 @@ class DataArguments:
 
     def keywords(self) -> dict[str, Any]:
         """Return what was given on the command line as keywords of `load_btf`."""
-        names = ("kind", "encoding", "exposure", "crop", "downscale", "invalid", "duplicates", "clipped_weight", "circle", "mask")
+        names = ("kind", "encoding", "exposure", "crop", "downscale", "invalid", "duplicates", "clipped_weight", "circle", "mask", "near", "distance")
         given = {name: getattr(self, name) for name in names if getattr(self, name) is not None}
         given |= {name: True for name in ("normalise", "skip_bad_lights") if getattr(self, name)}
+        given |= {"falloff": False} if self.no_falloff else {}
         paths = {"light_table": self.lights, "ball": self.ball}
         given |= {name: str(path) for name, path in paths.items() if path is not None}
         if self.intensities not in (None, NO_INTENSITIES):

@@ -104,6 +104,9 @@ class Geometry:
         from torchmat.geometry import relief_from_photographs
         from torchmat.report.lights import lambert_text
 
+        from torchmat.btf.near import far_only
+
+        far_only("geometry", btf.near)
         rows = (btf.light[:, 2] > 0).nonzero()[:, 0]
         lit = btf if len(rows) == len(btf) else btf.picked(rows)
         figures = lambert_of(lit)

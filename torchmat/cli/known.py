@@ -41,7 +41,8 @@ TABLES: dict[str, tuple[str, ...]] = {
     "target": ("error", "psnr", "bytes", "seconds", "highlights"),
     "data": (
         "kind", "encoding", "invalid", "duplicates", "exposure", "crop", "downscale", "lights", "views", "normalise",
-        "light_table", "ball", "circle", "intensities", "mask", "skip_bad_lights", "clipped_weight",
+        "light_table", "ball", "circle", "intensities", "mask", "skip_bad_lights", "near", "distance", "falloff",
+        "clipped_weight",
     ),
 }
 CHOICES: dict[str, dict[str, tuple[object, ...]]] = {

@@ -42,6 +42,9 @@ _RULES: dict[str, tuple[str, Callable[[Any], bool]]] = {
     "intensities": ("be the path of a file of intensities, or estimate", lambda value: isinstance(value, str)),
     "mask": ("be the path of a picture, alpha, background or none", lambda value: isinstance(value, str)),
     "skip_bad_lights": ("be true or false", lambda value: isinstance(value, bool)),
+    "near": ("be a positive number", lambda value: _is_number(value) and value > 0),
+    "distance": ("be a positive number", lambda value: _is_number(value) and value > 0),
+    "falloff": ("be true or false", lambda value: isinstance(value, bool)),
     "clipped_weight": ("be a number from 0 to 1", lambda value: _is_number(value) and 0 <= value <= 1),
 }
 _CHOICES = {

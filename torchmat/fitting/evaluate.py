@@ -38,9 +38,9 @@ class Evaluation(NamedTuple):
 
 def predict(material: Material, btf: Btf, indices: Tensor) -> Tensor:
     """Return the material's images [k, 3, H, W] for chosen samples of `btf`."""
-    light, view = btf.light[indices].to(material.dtype), btf.view[indices].to(material.dtype)
+    light, view = btf.directions(indices, material.dtype)
     with torch.no_grad():
-        return material.shade(light[:, :, None, None], view[:, :, None, None])
+        return material.shade(light, view)
 
 
 def evaluate(

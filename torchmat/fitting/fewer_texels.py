@@ -45,4 +45,6 @@ def averaged(btf: Btf, rows: Tensor, size: Sequence[int], dtype: torch.dtype) ->
     pixels = torch.cat(images).numpy()
     store = summarise(pixels, torch.cat(flags).numpy())
     decoder = Decoder(pixels.dtype, "linear", 1.0)
-    return Btf(store, btf.light[rows], btf.view[rows], decoder, btf.source, btf.clipped_weight, mask=shrunk_mask(btf.mask, size))
+    near = None if btf.near is None else btf.near.picked(rows).resized(*shape)
+    mask = shrunk_mask(btf.mask, size)
+    return Btf(store, btf.light[rows], btf.view[rows], decoder, btf.source, btf.clipped_weight, mask=mask, near=near)

@@ -324,6 +324,6 @@ def _source(btf: Btf) -> dict[str, Any]:
             "kind": btf.source.kind, "path": btf.source.path, "height": btf.height, "width": btf.width,
             "lights": len(btf.lights), "views": len(btf.views), "encoding": btf.encoding, "exposure": btf.exposure,
             "clipped_share": btf.clipped_share, "invalid_share": btf.invalid_share, "notes": list(btf.source.notes),
-            "lights_of": paired_lights(btf), **btf.object_figures(),
+            "lights_of": paired_lights(btf), **btf.object_figures(), **({} if btf.near is None else btf.near.figures()),
         }
     }

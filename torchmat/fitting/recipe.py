@@ -10,6 +10,7 @@ from typing import Any
 
 from torch import Tensor
 
+from torchmat.btf.near import far_only
 from torchmat.errors import RangeError, check_option, message
 from torchmat.fitting.geometry import FLAT, GEOMETRIES
 from torchmat.fitting.models.any_model import descend, fit_by_descent
@@ -125,6 +126,8 @@ class Recipe:
         rungs: candidates of the automatic choice.
         ladder: how the choice builds the model part by part; None if it does not.
         compared: options of its rows in a comparison ("terms=9"; empty is none).
+        near: whether `fit` and `on_relief` ask each texel's own directions (``training.planes(samples)``), so that near lights and
+            cameras are right; without it such data is refused. What descends from `start` always does.
         solvers_differ: whether a comparison has a row for each further solver, where none is the obvious one.
         bytes_per_texel: what the maps take by default, in words, for lists of models; empty where unknown.
     """
@@ -144,6 +147,7 @@ class Recipe:
     rungs: tuple[Rung, ...] = ()
     ladder: Ladder | None = None
     compared: tuple[str, ...] = ("",)
+    near: bool = False
     solvers_differ: bool = False
     bytes_per_texel: str = ""
 
@@ -227,6 +231,8 @@ class Recipe:
         return self._run(training, options).settled(training.btf.mask)
 
     def _run(self, training: Training, options: dict[str, Any]) -> Fitted:
+        if self.start is None and not self.near:
+            far_only(f"fit {self.name}", training.btf.near)
         solver, objective = self.solver_of(options), options.pop("objective", self.objective)
         options.pop("solver", None)
         if self.start is not None:
@@ -248,6 +254,8 @@ class Recipe:
         """Fit the model over a relief in its own way; None where these options take the way of all models."""
         if self.on_relief is None:
             return None
+        if not self.near:
+            far_only(f"fit {self.name}", surface.training.btf.near)
         solver, objective = self.solver_of(options), options.get("objective", self.objective)
         if solver.name not in self.solvers:
             return None

@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from torchmat.btf import Btf
+from torchmat.btf.near import far_only
 from torchmat.errors import FitError, message
 from torchmat.fitting.scene.share import SceneShare
 from torchmat.fitting.shared import Shared
@@ -69,14 +70,20 @@ class Training:
             return rows[torch.randperm(len(rows), generator=generator)]
         return rows[torch.multinomial(self.importance[rows].double(), len(rows), replacement=True, generator=generator)]
 
+    def planes(self, samples: Tensor) -> tuple[Tensor, Tensor]:
+        """Return light and view of some samples in the fit's precision: [k, 3, 1, 1], or [k, 3, H, W] of what is near."""
+        return self.btf.directions(samples, self.dtype)
+
     @property
     def light(self) -> Tensor:
-        """Light of each sample as planes [sample, 3, 1, 1]."""
+        """Light of each sample as planes [sample, 3, 1, 1]; raises RangeError where lights or cameras are near (`planes`)."""
+        far_only("fit", self.btf.near)
         return self.btf.light[:, :, None, None]
 
     @property
     def view(self) -> Tensor:
-        """View of each sample as planes [sample, 3, 1, 1]."""
+        """View of each sample as planes [sample, 3, 1, 1]; raises RangeError where lights or cameras are near (`planes`)."""
+        far_only("fit", self.btf.near)
         return self.btf.view[:, :, None, None]
 
 

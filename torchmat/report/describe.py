@@ -57,6 +57,7 @@ def describe_btf(btf: Btf) -> str:
         *([["object", object_text(btf.source.mask, btf.object_share)]] if btf.mask is not None else []),
         ["lights", _polar_range(btf.lights)],
         ["views", _polar_range(btf.views)],
+        *([["near", btf.near.sentence()]] if btf.near is not None else []),
         ["pairs covered", f"{len(btf)} of {grid} ({100 * len(btf) / grid:.1f} %)"],
         ["stored as", f"{btf.stored_dtype}, read as {_read_as(btf)}, exposure {number(btf.exposure)}"],
         ["linear range", f"{number(low)} to {number(high)}"],

@@ -57,7 +57,8 @@ def write_lights(btf: Btf, path: str | Path) -> Path:
         raise DataError(message(str(path), "the file", "be a new one", "it is there already", "Give another name."))
     try:
         with atomic.building_file(str(path)) as built:
-            Path(built).write_text(lp_text(list(pairs), btf.light), encoding="utf-8")
+            light = btf.light if btf.light_position is None else btf.light_position  # to be read with --near 1
+            Path(built).write_text(lp_text(list(pairs), light), encoding="utf-8")
     except OSError as error:
         raise DataError(message(str(path), "the file", "be writable", str(error), "Check its folder.")) from error
     return path

@@ -240,7 +240,7 @@ def oblique_picture(btf: Btf, result: FitResult, path: Path) -> Path:
     figure, axes = plotting().subplots(len(rows), 3, figsize=(9, 3.2 * len(rows)), squeeze=False)
     flat = result.material.surface()
     for line, sample in zip(axes, rows.tolist(), strict=True):
-        light, view = (d[sample, :, None, None].to(result.material.dtype) for d in (btf.light, btf.view))
+        light, view = (planes[0] for planes in btf.directions([sample], result.material.dtype))
         with torch.no_grad():
             pictures = (btf.image(sample), result.material.shade(light, view), flat.shade(light, view))
         scale = max(float(pictures[0].flatten().sort().values[int(0.99 * (pictures[0].numel() - 1))]), 1e-6)

@@ -104,7 +104,9 @@ class Examiner:
             if texels is not None:  # before all else: what is left is few
                 target, valid, clipped = (_chosen(each, texels) for each in (target, valid, clipped))
             planes = [target, display(target), valid.expand_as(target), clipped, weight[:, None, None, None].to(target.dtype)]
-            directions = [direction[part][:, :, None, None].float() for direction in (btf.light, btf.view)]
+            directions = list(btf.directions(part, torch.float32))
+            if texels is not None:
+                directions = [d if d.shape[-2:] == (1, 1) else _chosen(d, texels) for d in directions]
             batches.append(_Batch(*directions, *planes))
         return batches if texels is None else [_Batch(*(torch.cat(planes) for planes in zip(*batches, strict=True)))]
 

@@ -103,7 +103,7 @@ class Seen:
 
     def predicted(self, maps: dict[str, Tensor], rows: Tensor) -> Tensor:
         """Return the values [k, 3, H, W] of samples `rows` with `maps` in place of the material's own."""
-        light, view = (planes[rows].to(self.training.dtype) for planes in (self.training.light, self.training.view))
+        light, view = self.training.planes(rows)
         return self.material.sharing({**self.material.maps, **maps}).value(light, view)
 
     def read(self, rows: Tensor) -> tuple[Tensor, Tensor]:

@@ -19,6 +19,7 @@ from torch import Tensor
 
 from torchmat import frames
 from torchmat.btf import Btf
+from torchmat.btf.near import far_only
 from torchmat.btf.tiling import decided
 from torchmat.errors import FitError, message
 from torchmat.fitting.fewer_texels import shrunk_mask
@@ -161,6 +162,7 @@ def _in_time(captured: Captured, height: Tensor, watch: Watch, until: float) -> 
 
 def _stereo(training: Training) -> Relief:
     btf = training.btf
+    far_only("recovering the relief", btf.near)
     first = int(btf.view_index[training.used].min())  # views run from the pole outward
     polar = float(torch.rad2deg(frames.to_polar(btf.views[first].double())[0]))
     if polar > _FLATTEST_DEG:

@@ -63,7 +63,8 @@ def held_out_error(held: Material, btf: Btf, samples: Tensor | None = None) -> f
     errors = SampleErrors()
     for some in rows.split(max(1, _VALUES // (3 * held.texels))):
         target = btf.images(some, held.dtype)
-        found = shade_pairs(held, btf.light[some], btf.view[some])
+        with torch.no_grad():
+            found = held.shade(*btf.directions(some, held.dtype))
         errors.add(found, target, btf.valid(some), btf.saturated(some, target), torch.zeros(len(some), dtype=torch.bool))
     return _known(errors.pooled()["relative_error"])
 
