@@ -25,14 +25,14 @@ PATHS = (
 )
 WORDS = (
     "preview", "apply", "discard", "blend", "apply_blend", "choose", "follow", "remember", "undo", "redo", "back", "compare", "measure",
-    "refit", "cancel", "_written", "fulfil", "__class__", "drawn", "nothing", "",
+    "refit", "cancel", "picture", "_written", "fulfil", "__class__", "drawn", "nothing", "",
 )
 VALUES: tuple[object, ...] = (
     None, True, -1, 10**30, 1e308, "", "../secret.png", "/etc/passwd", "x" * 5000, [], {}, [[]], {"mask": None}, {"mask": {"contrast": "a"}},
     {"without": {"part": "tilt"}}, {"index": {"lobes": 10**9}}, {"specular": {"maps": ["glossy:size=100000"]}}, {"a": {"b": {"c": []}}}, "💥\ud800",
     {"rotation": {"centres": [[0, 0]] * 5000}}, {"tilt": {"curve": "0:0," * 3000}}, ["--help"], float("nan"),
 )
-KEYS = ("edits", "drop", "other", "weight", "texture", "file", "on", "look", "state", "light", "view", "maps", "effort", "self", "wish", "id", "x")
+KEYS = ("edits", "drop", "other", "weight", "texture", "file", "on", "look", "state", "light", "view", "maps", "effort", "mesh", "zoom", "perspective", "lights", "repeat", "exposure", "size", "self", "wish", "id", "x")
 
 
 def attack(address: str, folder: Path, count: int, seed: int = 0) -> dict[str, int | float | bool]:

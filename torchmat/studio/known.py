@@ -42,7 +42,7 @@ def _form(manifest: Mapping[str, Any]) -> Path:
 def keep_form(folder: Path, description: Mapping[str, Any]) -> None:
     """Keep what a page is told of a material besides its values."""
     path = _form(manifest_in(folder))
-    if path.exists():
+    if description["glsl"] is None or path.exists():  # beside pictures stand figures, which are values
         return
     path.parent.mkdir(parents=True, exist_ok=True)
     write_own(path, description)

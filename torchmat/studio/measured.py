@@ -23,6 +23,15 @@ REPORT = "report.json"
 PARTS = ("held_out", "held_out_after_export")
 
 
+def report_in(folder: Path) -> dict[str, Any]:
+    """Return the report of the fit of a material; an empty one where there is none."""
+    try:
+        found = json.loads((folder / REPORT).read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError):
+        return {}
+    return found if isinstance(found, dict) else {}
+
+
 class Measured:
     """The images at `path`, read as the fit of the material in `folder` read them, where its report says how."""
 
@@ -33,11 +42,7 @@ class Measured:
     @property
     def report(self) -> dict[str, Any]:
         """The report of the material's fit; an empty one where there is none."""
-        try:
-            found = json.loads((self._folder / REPORT).read_text(encoding="utf-8"))
-        except (OSError, ValueError, RecursionError):
-            return {}
-        return found if isinstance(found, dict) else {}
+        return report_in(self._folder)
 
     @property
     def btf(self) -> Btf:

@@ -14,12 +14,14 @@ from torchmat.material_io.choose_file import choose_file
 from torchmat.material_io.read_folder import load_material, read_manifest, reread
 from torchmat.models import Material
 from torchmat.models.blend import blend
-from torchmat.studio.measured import Measured
+from torchmat.studio.measured import Measured, report_in
+from torchmat.studio.pictured import Pictured
 from torchmat.studio.place import check_links
 from torchmat.studio.quick import quick_map
 from torchmat.studio.textures import textures_of
 from torchmat.swap import signature_of
-from torchmat.web.payload import TRANSFER, describe, map_of
+from torchmat.web.errors import error_table
+from torchmat.web.payload import TRANSFER, describe, describe_pictured, has_shader, map_of
 
 Map = tuple[dict[str, Any], bytes]
 
@@ -40,6 +42,7 @@ class Session:
         self._read_as: dict[str, Any] = {}
         self._stale: set[str] = set()  # maps that were saved since the material was read
         self._blended: dict[int, Material] = {}
+        self._pictured = Pictured()
 
     @property
     def material(self) -> Material:
@@ -69,7 +72,11 @@ class Session:
 
     def shown(self, material: Material) -> dict[str, Any]:
         """Return what a page needs of a material; what of it is the same as in the folder is not encoded again."""
-        payload = describe(material, self._known(material))
+        if has_shader(material):
+            payload = describe(material, self._known(material))
+        else:
+            payload = describe_pictured(material, self._known(material))
+            payload.description["errors"] = error_table(report_in(self.folder))
         return {"description": payload.description, "buffers": payload.buffers, "textures": textures_of(self._manifest)}
 
     def _known(self, material: Material) -> dict[str, Map]:
@@ -171,6 +178,10 @@ class Session:
         if number not in self._blended:
             self._blended[number] = load_material(self._others[number])
         return self._blended[number]
+
+    def picture(self, **look: Any) -> bytes:
+        """Return a picture of the material with all that was saved (`Pictured.picture`)."""
+        return self._pictured.picture(self.current(), **look)
 
     def beside(self, light: Sequence[float], view: Sequence[float]) -> dict[str, Any]:
         """Return the measured pair nearest to two directions beside the material in the folder (`Measured.beside`)."""

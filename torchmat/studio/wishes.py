@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import inspect
 from collections.abc import Mapping
 from typing import Any
@@ -80,6 +81,14 @@ class Wishes:
         """Keep what the page wants to know after a restart."""
         self._live.settings.remember(look)
         self._live.settings.save(self._live.place.own)
+
+    async def picture(
+        self, mesh: Any, view: Any, zoom: Any, perspective: Any, lights: Any, repeat: Any, exposure: Any, size: Any
+    ) -> str:
+        """Make a picture of a material that pages cannot draw (`Pictured.picture`): a PNG, in base64."""
+        look = {"mesh": mesh, "view": view, "zoom": zoom, "perspective": perspective, "lights": lights}
+        look |= {"repeat": repeat, "exposure": exposure, "size": size}
+        return base64.b64encode((await self._live.worker.call("picture", **look)).value).decode("ascii")
 
     async def compare(self, light: Any, view: Any) -> dict[str, Any]:
         """Make the pictures of the measured pair that lies nearest to two directions, and return their figures."""

@@ -44,15 +44,24 @@ def describe(material: Material, known: Mapping[str, tuple[dict[str, Any], bytes
 
     Raises RangeError where its model has no shader, or a map cannot be stored.
     """
-    source = source_of(material)
+    return _described(material, source_of(material), defines_of(material), known or {})
+
+
+def describe_pictured(material: Material, known: Mapping[str, tuple[dict[str, Any], bytes]] | None = None) -> Payload:
+    """Return the same of a material without a shader, which a page shows beside pictures of it; "glsl" is None."""
+    return _described(material, None, {}, known or {})
+
+
+def _described(
+    material: Material, source: str | None, defines: dict[str, Any], known: Mapping[str, tuple[dict[str, Any], bytes]]
+) -> Payload:
     names = [spec.name for spec in material.specs() if not spec.constant]
-    known = known or {}
     maps = [known[name] if name in known else map_of(material, name) for name in names + ([TRANSFER.name] if INDIRECT.name in material.maps else [])]
     description = {
         "format": FORMAT, "version": VERSION, "model": material.name, "size": list(material.size), "whole_size": list(material.whole_size),
         "tiles": material.tiles, "bright_at_horizon": material.bright_at_horizon, "relief": material.relief if material.has_relief else None,
         "derives_normal": material.derives_normal,
-        "defines": defines_of(material), "glsl": source,
+        "defines": defines, "glsl": source,
         "numbers": {spec.name: values.tolist() for spec, values in material.numbers() if spec.constant},
         "maps": [entry for entry, _ in maps],
     }
@@ -69,9 +78,19 @@ def map_of(material: Material, name: str) -> tuple[dict[str, Any], bytes]:
         raise RangeError(message("map_of", "name", "be a map of the material", fact))
     textures = [one for one in material.textures() if one.spec.name == name]
     if textures:
-        return _entry(spec, [one.codes() for one in textures])
-    values = next(values for one, values in material.numbers() if one.name == name)
-    return _entry(spec, [_floats(part[:, None, None]) for part in values.split(spec.layer_channels)])
+        parts = [one.codes() for one in textures]
+    else:
+        values = next(values for one, values in material.numbers() if one.name == name)
+        parts = [_floats(part[:, None, None]) for part in values.split(spec.layer_channels)]
+    return _entry(spec, parts if has_shader(material) else [one for part in parts for one in _cut(part)])
+
+
+def _cut(codes: Codes) -> list[Codes]:
+    """Return what has more channels than a page takes as one layer for each: no shader reads it there."""
+    count = codes.pixels.shape[2]
+    if count <= _MOST_CHANNELS:
+        return [codes]
+    return [replace(codes, pixels=codes.pixels[..., k : k + 1], low=codes.low[k : k + 1], high=codes.high[k : k + 1]) for k in range(count)]
 
 
 def _transfer(material: Material) -> tuple[dict[str, Any], bytes]:

@@ -9,6 +9,7 @@ import { filesPanel } from "./studio_files.js";
 import { historyPanel } from "./studio_history.js";
 import { Live, fetchMaterial } from "./studio_live.js";
 import { nineViews } from "./studio_nine.js";
+import { PicturedViewer } from "./studio_pictured.js";
 import { rotationPanel } from "./studio_rotation.js";
 import { tiltPanel } from "./studio_tilt.js";
 import { mount } from "./viewer.js";
@@ -24,7 +25,9 @@ export async function start(root) {
   window.history.replaceState(null, "", "/"); // the token is a cookie by now, and need not be seen
   const live = new Live();
   const { versions, ...data } = await fetchMaterial();
-  const viewer = await mount(root, { data, live: true });
+  const drawn = Boolean(data.description.glsl);
+  const { errors } = data.description;
+  const viewer = await mount(root, drawn ? { data, live: true } : { data: { ...data, extra: { errors } }, live: true, ...picturedBy(live) });
   live.show(viewer, versions);
   const first = viewer.on("frame", () => {
     first();
@@ -33,22 +36,32 @@ export async function start(root) {
   const help = viewer.side.lastElementChild;
   viewer.addPanel("Files", filesPanel(live), { open: false });
   const studio = { live, viewer };
-  if (viewer.scene) {
+  if (viewer.context) {
     studio.nine = nineViews(viewer);
     addFolded(viewer, "Nine views", studio.nine.element, () => studio.nine.changed(0));
     addExpand(viewer);
   }
   addEdits(studio);
   const hello = await live.hello;
-  if (hello.others.length) addFolded(viewer, "Blend", blendPanel(live, hello.others));
+  if (hello.others.length && drawn) addFolded(viewer, "Blend", blendPanel(live, hello.others));
   if (hello.measured) {
     addFolded(viewer, "Beside the BTF", comparePanel(viewer, live));
-    addFolded(viewer, "Fit maps anew", refitPanel(viewer, live));
+    if (drawn) addFolded(viewer, "Fit maps anew", refitPanel(viewer, live));
   }
   viewer.addPanel("Saves and undo", historyPanel(live), { first: true });
+  if (!drawn) viewer.on("failed", (error) => live.emit("problem", error));
   viewer.side.append(help); // the keys come last
   remember(live, viewer, hello.look);
   return studio;
+}
+
+/** What mounts a viewer of a material that no shader draws. */
+function picturedBy(live) {
+  const pictures = async (look) => {
+    await live.hello;
+    return live.wish("picture", look);
+  };
+  return { kind: PicturedViewer, pictures };
 }
 
 function addFolded(viewer, title, content, opened = () => {}) {

@@ -136,6 +136,8 @@ export class Live {
       while (this.again) {
         this.again = false;
         const found = await fetchMaterial({ versions: this.versions, buffers: this.viewer.buffers });
+        // Of another kind: drawn here now, or by the studio.
+        if (!found.description.glsl !== !this.viewer.description.glsl) return location.reload();
         this.versions = found.versions;
         this.viewer.setMaterial(found.description, found.buffers);
         this.emit("material");

@@ -3,19 +3,18 @@
 import { element } from "./dom.js";
 import { readEmbedded } from "./embedded.js";
 import { buildPanels } from "./panels.js";
-import { NoShader } from "./pictures.js";
 import { Viewer } from "./viewing.js";
 
 /**
  * Show a material in an element.
  * @param {HTMLElement} root
  * @param {{data?: {description: object, buffers: Record<string, ArrayBuffer>, extra?: object}, live?: boolean, embedded?: boolean,
- *   mesh?: string, intro?: boolean}} options data: what to show, by default what the page holds
+ *   mesh?: string, intro?: boolean, kind?: typeof Viewer}} options data: what to show, by default what the page holds
  * @returns {Promise<Viewer>} its `scene` is null where only pictures can be shown
  */
 export async function mount(root, options = {}) {
   const data = options.data ?? await readEmbedded(document);
-  const viewer = new Viewer(root, data, options);
+  const viewer = new (options.kind ?? Viewer)(root, data, options);
   root.viewer = viewer;
   root.classList.add("tmv");
   const canvas = element("canvas", { tabindex: 0, role: "application", "aria-roledescription": "interactive picture" });
@@ -26,7 +25,6 @@ export async function mount(root, options = {}) {
   root.classList.toggle("tmv-within", viewer.embedded);
   root.replaceChildren(element("div", { class: "tmv-body" }, viewer.stage, viewer.side), viewer.status);
   try {
-    if (!viewer.description.glsl) throw new NoShader();
     viewer.begin(canvas);
   } catch (error) {
     viewer.scene = null;

@@ -8,7 +8,7 @@ import { Material } from "./material.js";
 import { SHAPES, makeMesh, storedMesh } from "./meshes.js";
 import { Pace } from "./pace.js";
 import { addPanel } from "./panel.js";
-import { showPictures } from "./pictures.js";
+import { NoShader, showPictures } from "./pictures.js";
 import { Scene } from "./scene.js";
 import { advance, startState } from "./state.js";
 import { shownColour } from "./colours.js";
@@ -38,10 +38,7 @@ export class Viewer extends Acts {
   /** @param {HTMLCanvasElement} canvas */
   begin(canvas) {
     this.canvas = canvas;
-    // Edges are smoothed in a frame buffer of the scene's own.
-    this.context = openContext(canvas, { alpha: false, antialias: false, depth: false, powerPreference: "low-power" });
-    this.build();
-    this.pace = new Pace(this.context.gl, () => this.redraw(false), Boolean(this.live));
+    this.open(canvas);
     this.stopControls = attachControls(canvas, this);
     // Asked for once: to ask in every frame would lay the page out in every frame.
     this.box = canvas.parentElement.getBoundingClientRect();
@@ -61,6 +58,15 @@ export class Viewer extends Acts {
       this.redraw();
     };
     this.scheme.addEventListener("change", this.recoloured);
+  }
+
+  /** Get ready to draw into a canvas. */
+  open(canvas) {
+    if (!this.description.glsl) throw new NoShader();
+    // Edges are smoothed in a frame buffer of the scene's own.
+    this.context = openContext(canvas, { alpha: false, antialias: false, depth: false, powerPreference: "low-power" });
+    this.build();
+    this.pace = new Pace(this.context.gl, () => this.redraw(false), Boolean(this.live));
     this.context.onRestore(() => {
       this.pace.forget();
       this.redraw();
@@ -130,13 +136,7 @@ export class Viewer extends Acts {
       return;
     }
     const begun = performance.now();
-    const sweeping = this.state.sweeps.length > 0;
-    if (sweeping) {
-      advance(this.state, (now - (this.sweptAt || now)) / 1000);
-      this.emit("change", this.state);
-      this.pace.stir();
-    }
-    this.sweptAt = sweeping ? now : 0;
+    const sweeping = this.sweep(now);
     try {
       this.draw();
     } catch (error) {
@@ -148,6 +148,18 @@ export class Viewer extends Acts {
     this.frames += 1;
     this.emit("frame", this.cost);
     if (sweeping) this.redraw(false);
+  }
+
+  /** Bring what sweeps forward. @returns {boolean} whether anything does */
+  sweep(now) {
+    const sweeping = this.state.sweeps.length > 0;
+    if (sweeping) {
+      advance(this.state, (now - (this.sweptAt || now)) / 1000);
+      this.emit("change", this.state);
+      this.pace.stir();
+    }
+    this.sweptAt = sweeping ? now : 0;
+    return sweeping;
   }
 
   /** What cannot be drawn is said, with pictures in its place. */
