@@ -46,7 +46,7 @@ def opened(chromium: Chromium, path: Path, width: int = 640, height: int = 480, 
 
 def rested(page: Page) -> None:
     """Wait until a page has drawn its full picture."""
-    page.wait_for_function(f"{ROOT} && {ROOT}.frames > 0 && !{ROOT}.pace.moving && !{ROOT}.wanted && !{ROOT}.pace.coarse")
+    page.wait_for_function(f"{ROOT} && {ROOT}.frames > 0 && !{ROOT}.pace.moving && !{ROOT}.wanted && !{ROOT}.pace.sync && !{ROOT}.pace.coarse")
 
 
 def asked(page: Page, what: str) -> Any:

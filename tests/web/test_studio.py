@@ -104,10 +104,36 @@ def test_nine_views_are_shade_at_their_pairs_and_their_marks_lead_back(chromium,
         }""")
         wanted = half_at(torch.tensor([[0.7, 0.4]], dtype=torch.float64))[0]
         assert np.allclose(half["light"], wanted, atol=0.02) and half["light"] == half["view"]
+        assert page.problems == []
+
+
+def test_expand_hides_and_brings_back_the_nine_views_and_nothing_else(chromium, tmp_path):
+    with served(wool(tmp_path / "wool")) as studio:
+        page = opened(chromium, studio, width=900, height=500)
+        seen = """() => ({
+          nine: window.torchmat.nine.canvases.filter((one) => one.checkVisibility()).length,
+          others: [...document.querySelectorAll('.tmv-side summary')].filter((one) => one.checkVisibility()).map((one) => one.textContent),
+          picture: document.querySelector('.tmv-stage canvas').checkVisibility(), expanded: document.querySelector('.tms-expand').ariaExpanded,
+        })"""
+        open_panel(page, "Nine views")
+        before = page.evaluate(seen)
+        assert before["nine"] == 9 and before["picture"] and len(before["others"]) > 6 and before["expanded"] == "true"
+        page.evaluate("window.torchmat.nine.choose(7)")
+        page.get_by_role("button", name="Sweep the light").last.dispatch_event("click")
         page.get_by_role("button", name="Expand").click()
-        assert not page.is_visible(".tmv-side")
-        page.get_by_role("button", name="Panels").click()
-        assert page.is_visible(".tmv-side") and page.problems == []
+        until(page, "() => document.querySelector('.tms-expand').ariaExpanded === 'false'")
+        assert page.evaluate(seen) == {**before, "nine": 0, "expanded": "false"}
+        page.evaluate("() => new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
+        hidden = page.evaluate("window.torchmat.nine.light")
+        page.evaluate("() => new Promise((done) => setTimeout(done, 200))")
+        assert page.evaluate("window.torchmat.nine.light") == hidden  # nobody sees it: it does not sweep
+        page.evaluate("() => { window.torchmat.nine.changed(0); return new Promise((done) => setTimeout(done, 100)); }")
+        assert page.evaluate("window.torchmat.nine.waiting.length") == 9  # nor is it drawn
+        page.get_by_role("button", name="Nine views").click()
+        until(page, "() => document.querySelector('.tms-expand').ariaExpanded === 'true'")
+        assert page.evaluate(seen) == before and page.evaluate("window.torchmat.nine.chosen") == 7
+        until(page, "light => window.torchmat.nine.light !== light", hidden)
+        assert page.problems == []
 
 
 def test_controls_show_at_once_what_the_command_would_write_and_write_it(chromium, tmp_path):
@@ -153,6 +179,52 @@ def test_controls_show_at_once_what_the_command_would_write_and_write_it(chromiu
         mixed = blend(again, tm.load_material(other), 0.25)
         until(page, "n => window.torchmat.live.versions.specular > n", page.evaluate("window.torchmat.live.versions.specular"))
         assert studio.live.shown.buffers == describe(mixed).buffers and page.problems == []
+
+
+@pytest.mark.parametrize("press", [False, True], ids=["selection", "centre"])
+def test_draw_360_has_no_seam_where_the_angle_wraps(chromium, tmp_path, press):
+    side, (left, bottom, right, top) = 32, (0.25, 0.125, 0.875, 0.75)
+    folder = wool(tmp_path / "wool", size=side)
+    before = tm.load_material(folder).maps["rotation"].detach()
+    with served(folder) as studio:
+        page = opened(chromium, studio)
+        open_panel(page, "Rotation: draw 360")
+        page.evaluate("""(places) => {
+          const frame = document.querySelector('.tms-select:not(.tms-marks)');
+          frame.setPointerCapture = () => {};
+          frame.scrollIntoView();
+          const box = frame.getBoundingClientRect();
+          const names = ["pointerdown", "pointermove", "pointerup"];
+          places.forEach(([u, v], k) => frame.dispatchEvent(new PointerEvent(names[Math.min(k, 2)], {
+            clientX: box.left + u * box.width, clientY: box.top + (1 - v) * box.height,
+          })));
+        }""", [[0.5625, 0.4375]] * 3 if press else [[left, bottom], [0.5, 0.5], [right, top]])
+        page.get_by_role("button", name="Draw 360").click()
+        edit = page.evaluate("async () => { const e = window.torchmat.edits; while (e.asking) await e.asking; return e.edits.rotation; }")
+        page.get_by_role("button", name="Write into the folder").first.click()
+        until(page, "() => window.torchmat.edits.empty && document.querySelectorAll('.tms-states li').length > 1")
+        assert page.problems == []
+    written = tm.load_material(folder).maps["rotation"].detach().double().numpy()
+    x, y = (np.arange(side) + 0.5) / side, 1 - (np.arange(side) + 0.5) / side
+    if press:
+        (u, v), inside = edit["centres"][0], np.ones((side, side), bool)
+        assert abs(u - 0.5625) < 0.01 and abs(v - 0.4375) < 0.01
+    else:
+        one, low, other, high = edit["region"]
+        assert np.abs(np.array(edit["region"]) - (left, bottom, right, top)).max() < 0.01
+        (u, v), inside = (0.5625, 0.4375), ((y > low) & (y < high))[:, None] & ((x > one) & (x < other))[None]
+        assert np.array_equal(written[:, ~inside], before.double().numpy()[:, ~inside])
+    # The very angle about the centre, as cosine and sine, to the step of a hue of 8 bits: a full turn in 6 x 255 steps.
+    exact = np.arctan2(y[:, None] - v, x[None] - u)
+    found = np.arctan2(written[1], written[0])
+    off = np.abs(np.angle(np.exp(1j * (found - exact))))[inside]
+    assert off.max() < 2 * np.pi / (6 * 255) / 2 * 1.01 and np.ptp(found[inside]) > 6
+    # Across the wrap, left of the centre, the written map turns by what the angle itself does, and by no more than that.
+    row, columns = int(round((1 - v) * side)), np.nonzero(inside.any(axis=0) & (x < u - 1 / side))[0]
+    step = np.abs(np.angle(np.exp(1j * (found[row - 1, columns] - found[row, columns]))))
+    wanted = np.abs(np.angle(np.exp(1j * (exact[row - 1, columns] - exact[row, columns]))))
+    assert len(columns) > 5 and (exact[row - 1, columns] > 2).all() and (exact[row, columns] < -2).all()
+    assert np.abs(step - wanted).max() < 2 * np.pi / (6 * 255) * 1.01
 
 
 def test_what_it_is_looked_at_with_comes_back_and_other_files_are_offered_by_their_names(chromium, tmp_path):

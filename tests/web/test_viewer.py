@@ -115,19 +115,99 @@ def test_sliders_numbers_and_state_say_the_same(page):
 
 def test_it_rests_without_drawing_and_sweeps_when_asked(page):
     rested(page)
-    before = asked(page, "viewer.frames")
-    page.wait_for_timeout(1000)
-    assert asked(page, "viewer.frames") == before
+    # At rest nothing is due that could draw: no frame is asked for, no picture is awaited, and no timer runs.
+    still = "[viewer.frames, viewer.wanted, viewer.pace.sync, viewer.pace.moving, viewer.pace.coarse]"
+    before = asked(page, still)
+    assert before[1:] == [0, None, False, False]
+    page.evaluate("() => new Promise((done) => { let k = 30; const next = () => (k-- ? requestAnimationFrame(next) : done()); next(); })")
+    assert asked(page, still) == before
+    start = asked(page, "viewer.state.lights[0].phi")
     sweep = page.get_by_role("button", name="Sweep the light's phi")
     sweep.dispatch_event("click")
-    page.wait_for_function(f"{ROOT}.frames > {before + 2}")
-    sweep.scroll_into_view_if_needed()
-    page.wait_for_function(f"{ROOT}.hidden && !{ROOT}.wanted")  # out of sight it does not draw
+    page.wait_for_function(f"{ROOT}.frames > {before[0] + 2} && {ROOT}.state.lights[0].phi !== {start}")
+    # Out of sight it does not draw. Scrolled at once: to wait until nothing moves would be to wait for ever.
+    page.evaluate("document.querySelector('.tmv-side').lastElementChild.scrollIntoView()")
+    page.wait_for_function(f"{ROOT}.hidden && !{ROOT}.wanted")
     before = asked(page, "viewer.frames")
-    page.locator("canvas").first.scroll_into_view_if_needed()
-    page.wait_for_function(f"{ROOT}.frames > {before}")
+    page.evaluate(f"{ROOT}.canvas.scrollIntoView()")
+    page.wait_for_function(f"!{ROOT}.hidden && {ROOT}.frames > {before}")
     sweep.dispatch_event("click")
-    assert asked(page, ANGLES)[3] != pytest.approx(128.66, abs=0.5)
+    assert asked(page, "viewer.state.sweeps") == []
+    rested(page)
+
+
+SHOWN = """(() => {
+  const rows = ['view', 'light'].flatMap((whose) => ['theta', 'phi'].map((angle) => [...document.querySelectorAll(`[aria-label="${whose} ${angle}, degrees"]`)]));
+  return rows.map(([range, typed]) => [Number(range.value), Number(typed.value), range.min, range.max]);
+})()"""
+
+
+def test_angles_are_the_same_however_they_are_given(page):
+    def said(expected=None):
+        """Return the four angles, which sliders and fields must show as the state has them, to their steps."""
+        state, shown = asked(page, ANGLES), page.evaluate(SHOWN)
+        assert expected is None or state == pytest.approx(expected, abs=1e-6)
+        for angle, (slider, typed, low, high), ends in zip(state, shown, (("-180", "180"), ("0", "360")) * 2, strict=True):
+            assert slider == pytest.approx(angle, abs=0.5 + 1e-6) and typed == pytest.approx(angle, abs=0.05 + 1e-6)
+            assert (low, high) == ends and float(low) <= angle <= float(high)
+        return state
+
+    def field(whose, angle, kind):
+        return page.locator(f"[aria-label='{whose} {angle}, degrees'][type={kind}]")
+
+    now = start = said()
+    for at, (whose, angle) in enumerate((("view", "theta"), ("view", "phi"), ("light", "theta"), ("light", "phi"))):
+        low, high = ((-180, 180), (0, 360))[at % 2]
+        for value in (low, high, low + 91.5):  # typed
+            field(whose, angle, "number").fill(str(value))
+            field(whose, angle, "number").blur()
+            now = said([*now[:at], value, *now[at + 1 :]])
+        for value in (low - 1, high + 1):
+            field(whose, angle, "number").fill(str(value))
+            field(whose, angle, "number").blur()
+            said(now)
+        field(whose, angle, "range").fill(str(low + 40))
+        now = said([*now[:at], low + 40, *now[at + 1 :]])
+        field(whose, angle, "range").press("ArrowRight")  # keys on a slider
+        now = said([*now[:at], low + 41, *now[at + 1 :]])
+    assert [angle for angle in start if angle in now] == []
+    page.get_by_role("button", name="Start again").click()
+    said(start)
+    page.locator("canvas").first.focus()  # keys on the picture
+    for key, at, right in (("ArrowLeft", 0, 5), ("Shift+ArrowRight", 2, 5), ("Alt+Shift+ArrowLeft", 2, -1)):
+        before = said()
+        page.keyboard.press(key)
+        theta, phi = orbited(*before[at : at + 2], right, 0)
+        now = said()
+        assert [direction(*now[:2]), direction(*now[2:])] == [
+            pytest.approx(direction(theta, phi) if at == place else direction(*before[place : place + 2]), abs=1e-6) for place in (0, 2)
+        ]
+    box = page.locator("canvas").first.bounding_box()
+    for shift in (False, True):  # drags, round and over the pole, where angles must stay within their ends
+        page.mouse.move(box["x"] + 200, box["y"] + 100)
+        if shift:
+            page.keyboard.down("Shift")
+        page.mouse.down()
+        for step in range(12):
+            page.mouse.move(box["x"] + 200 - 60 * (step % 4), box["y"] + 100 + 20 * step)
+            said()
+        page.mouse.up()
+        page.keyboard.up("Shift")
+        assert said()[2 * shift : 2 * shift + 2] != pytest.approx(start[2 * shift : 2 * shift + 2], abs=1)
+    page.locator("canvas").first.hover()
+    page.mouse.wheel(0, -300)
+    assert asked(page, "viewer.state.view.zoom") == pytest.approx(1.1**3)
+    distance = page.locator(".tmv-panel", has_text="Camera").locator("input[type=number]").last
+    assert float(distance.input_value()) == pytest.approx(1.1**-3, abs=0.005)
+    page.get_by_role("button", name="Start again").click()
+    said(start)
+    assert float(distance.input_value()) == 1 == asked(page, "viewer.state.view.zoom")
+
+
+def direction(theta, phi):
+    """Return x, y, z of two angles in degrees."""
+    theta, phi = math.radians(theta), math.radians(phi)
+    return [math.sin(theta) * math.cos(phi), math.sin(theta) * math.sin(phi), math.cos(theta)]
 
 
 def test_lights_come_and_go_up_to_four(page):

@@ -38,8 +38,8 @@ export async function start(root) {
   const studio = { live, viewer };
   if (viewer.context) {
     studio.nine = nineViews(viewer);
-    addFolded(viewer, "Nine views", studio.nine.element, () => studio.nine.changed(0));
-    addExpand(viewer);
+    const panel = addFolded(viewer, "Nine views", studio.nine.element, () => studio.nine.opened());
+    addExpand(viewer, panel);
   }
   addEdits(studio);
   const hello = await live.hello;
@@ -65,7 +65,9 @@ function picturedBy(live) {
 }
 
 function addFolded(viewer, title, content, opened = () => {}) {
-  viewer.addPanel(title, content, { open: false }).addEventListener("toggle", (event) => event.target.open && opened());
+  const panel = viewer.addPanel(title, content, { open: false });
+  panel.addEventListener("toggle", (event) => event.target.open && opened());
+  return panel;
 }
 
 /** The controls that change maps; only the artist's material has those. */
@@ -82,15 +84,20 @@ function addEdits(studio) {
   viewer.addPanel("Edits", editButtons(studio.edits, said), { first: true });
 }
 
-/** A button that gives the picture all the room, and brings the rest back. */
-function addExpand(viewer) {
-  const button = element("button", { type: "button", class: "tms-expand", "aria-pressed": "false", onclick: () => {
-    const wide = viewer.root.classList.toggle("tms-expanded");
-    button.setAttribute("aria-pressed", String(wide));
-    button.textContent = wide ? "Panels" : "Expand";
-    viewer.redraw();
+/** A button on the picture that hides the nine views and brings them back; the picture and all other panels stay. */
+function addExpand(viewer, panel) {
+  const button = element("button", { type: "button", class: "tms-expand", onclick: () => {
+    panel.open = !panel.open;
+    if (panel.open) panel.scrollIntoView({ block: "nearest" });
   } }, "Expand");
-  viewer.canvas?.parentElement.append(button);
+  const follow = () => {
+    button.setAttribute("aria-expanded", String(panel.open));
+    button.title = panel.open ? "Hide the nine views" : "Bring the nine views back";
+    button.textContent = panel.open ? "Expand" : "Nine views";
+  };
+  panel.addEventListener("toggle", follow);
+  follow();
+  viewer.canvas.parentElement.append(button);
 }
 
 /** Bring back how the material was looked at, and keep how it is. */

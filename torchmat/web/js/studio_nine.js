@@ -85,7 +85,7 @@ class NineViews {
   /** To and fro: at the ends the light would go under. */
   sweep() {
     const names = Object.keys(this.swept).filter((name) => this.swept[name]);
-    if (!names.length || this.viewer.gone) return;
+    if (!names.length || this.viewer.gone || !this.open) return;
     const now = performance.now();
     for (const name of names) {
       let next = this[name] + this.swept[name] * SWEEP * Math.min(0.25, (now - this.at) / 1000);
@@ -96,6 +96,13 @@ class NineViews {
     this.at = now;
     cancelAnimationFrame(this.next);
     this.next = requestAnimationFrame(() => this.sweep());
+  }
+
+  /** They are seen again: what was put off is drawn, and what swept goes on. */
+  opened() {
+    this.at = performance.now();
+    this.changed(0);
+    this.sweep();
   }
 
   choose(place) {
@@ -117,7 +124,7 @@ class NineViews {
   }
 
   get open() {
-    return this.element.offsetParent !== null;
+    return this.element.checkVisibility(); // folded away it has a place in the page still
   }
 
   changed(wait = WAIT) {
