@@ -128,13 +128,11 @@ class Studio:
     def _rays(self, shot: Shot, texture: np.ndarray, columns: np.ndarray, rows: np.ndarray, rays: int, mirrors: bool) -> np.ndarray:
         """Return the mean radiance [rows, columns, 3] of rays x rays rays in each pixel of a grid."""
         total = np.zeros((len(rows), len(columns), 3), np.float32)
-        offsets = (np.arange(rays) + 0.5) / rays - 0.5
         origin, turn = np.asarray(shot.position, np.float32), shot.rotation.astype(np.float32)
-        for dy in offsets:
-            for dx in offsets:
-                x, y = self.lens.straight(columns + dx, rows + dy)
-                ray = x[..., None] * turn[0] + y[..., None] * turn[1] + turn[2]
-                total += self._mirrored(shot, texture, origin, ray) if mirrors else self._plane(shot, texture, origin, ray)[0]
+        for dx, dy in _within_pixel(rays**2):
+            x, y = self.lens.straight(columns + dx, rows + dy)
+            ray = x[..., None] * turn[0] + y[..., None] * turn[1] + turn[2]
+            total += self._mirrored(shot, texture, origin, ray) if mirrors else self._plane(shot, texture, origin, ray)[0]
         return total / rays**2
 
     def _plane(self, shot: Shot, texture: np.ndarray, origin: np.ndarray, ray: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -219,6 +217,16 @@ class Studio:
             return np.round(linear * 65535).astype(np.uint16)
         encoded = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * np.maximum(linear, 1e-9) ** (1 / 2.4) - 0.055)
         return np.round(encoded * 255).astype(np.uint8)
+
+
+def _within_pixel(count: int) -> np.ndarray:
+    """Return places [count, 2] in a pixel, no two in one row or column: an edge along the pixels is as smooth as any other."""
+    if count == 4:
+        order = np.array([1, 3, 0, 2])
+    else:
+        step = next(step for step in range(round(count * 0.618), count + 1) if math.gcd(step, count) == 1)
+        order = np.arange(count) * step % count
+    return (np.stack((np.arange(count), order), axis=1) + 0.5) / count - 0.5
 
 
 def _bilinear(texture: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:

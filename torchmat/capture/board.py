@@ -28,7 +28,7 @@ _BAR_HEIGHT, _BAR_STEP = 2.0, 50.0
 RING = 0.4  # mm, width of the circle around a sphere
 MODULES = 7  # of a marker along a side: five bits and its border
 MARKER = 0.75  # of a square's side
-_PER_SERIES = 1000 // SERIES
+PER_SERIES = 1000 // SERIES
 DICTIONARY = "DICT_5X5_1000"
 Place = tuple[int, int, int, int]
 
@@ -115,7 +115,7 @@ class Board:
     @cached_property
     def marker_ids(self) -> np.ndarray:
         """The ids [m] of the markers."""
-        return self.series * _PER_SERIES + np.arange(len(self._marker_cells))
+        return self.series * PER_SERIES + np.arange(len(self._marker_cells))
 
     @cached_property
     def marker_corners(self) -> np.ndarray:
