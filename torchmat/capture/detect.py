@@ -146,12 +146,12 @@ def _moved(homography: np.ndarray, points: np.ndarray) -> np.ndarray:
 def _corners(board: Board, grey: np.ndarray, markers: Markers) -> tuple[np.ndarray, np.ndarray]:
     """Return which corners are seen, [k], and their pixels [k, 2]: each is looked for beside the markers that touch its squares."""
     rim = (1 - MARKER) / 2 * board.square
-    away = np.abs(board.corners[:, None, None] - board.marker_corners[None, markers.index])  # [corner, marker, 4, 2]
+    away = np.abs(board.corners[:, None, None] - board.marker_corners[None, markers.which])  # [corner, marker, 4, 2]
     beside = (np.abs(away - rim) < 1e-6 * board.square).all(-1).any(-1)
     index = np.flatnonzero(beside.any(1))
     if not len(index):
         return index, np.zeros((0, 2))
-    own = _four_point_homographies(board.marker_corners[markers.index], markers.pixels)
+    own = _four_point_homographies(board.marker_corners[markers.which], markers.pixels)
     guesses = np.stack([_moved(own[beside[one]], board.corners[one]).mean(0) for one in index])
     across = _jacobians(board, markers, board.corners[index])
     sizes = _half_windows(board, across)

@@ -18,10 +18,10 @@ _FOREIGN = {"DICT_4X4_1000": 6, "DICT_6X6_1000": 4, "DICT_7X7_1000": 4, "DICT_AR
 
 
 class Markers(NamedTuple):
-    """Markers of the board: `index` [m] of each in `Board.marker_ids`, its `pixels` [m, 4, 2], and the homography [3, 3] from millimetres
+    """Markers of the board: `which` [m] of each in `Board.marker_ids`, its `pixels` [m, 4, 2], and the homography [3, 3] from millimetres
     to pixels that they agree on; `others` are the ids of what does not belong to it."""
 
-    index: np.ndarray
+    which: np.ndarray
     pixels: np.ndarray
     homography: np.ndarray | None
     others: np.ndarray
@@ -38,8 +38,8 @@ def find_markers(board: Board, grey: np.ndarray) -> Markers:
     for scale in scales:
         found = _belonging(board, *_at_scale(grey, scale, DICTIONARY), _TOLERANCE * float(np.hypot(*grey.shape)))
         others = found.others if len(found.others) > len(others) else others
-        best = found if len(found.index) > len(best.index) else best
-        if len(best.index) >= _ENOUGH:
+        best = found if len(found.which) > len(best.which) else best
+        if len(best.which) >= _ENOUGH:
             break
     return best._replace(others=others)
 
@@ -55,7 +55,7 @@ def foreign_markers(grey: np.ndarray) -> str:
 def is_mirrored(board: Board, grey: np.ndarray) -> bool:
     """Return whether the board is there when the picture is mirrored."""
     ids, pixels = _at_scale(np.ascontiguousarray(grey[:, ::-1]), min(1.0, _SIDE / max(grey.shape)), DICTIONARY)
-    return len(_belonging(board, ids, pixels, _TOLERANCE * float(np.hypot(*grey.shape))).index) > LEAST
+    return len(_belonging(board, ids, pixels, _TOLERANCE * float(np.hypot(*grey.shape))).which) > LEAST
 
 
 @cache
