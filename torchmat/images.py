@@ -35,6 +35,7 @@ _TURNS: dict[int, Callable[[np.ndarray], np.ndarray]] = {
     7: lambda stored: stored[::-1, ::-1].swapaxes(0, 1), 8: lambda stored: stored[:, ::-1].swapaxes(0, 1),
 }
 
+_UNCALIBRATED = 65535  # EXIF's colour space of what is not sRGB
 _PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 # Asks for endless repetition, and a comment of the same length to stand in its place.
 _GIF_LOOP = b"\x21\xff\x0bNETSCAPE2.0\x03\x01\x00\x00\x00"
@@ -185,6 +186,19 @@ def read_exif(path: str | Path) -> Exif:
         numbers = [max(spec.get_float_attribute(name, 0.0) for name in some) for some in names]
         known = [number if 0 < number < float("inf") else None for number in numbers]
         return Exif((spec.width, spec.height), tags.orientation, " ".join(word for word in words if word), *known)
+    finally:
+        source.close()
+
+
+def says_other_colours(path: str | Path) -> bool:
+    """Tell whether a photograph's EXIF says that its colours are not sRGB; raises DataError when it cannot be opened."""
+    import OpenImageIO as oiio
+
+    source = oiio.ImageInput.open(_file_name(path))
+    if source is None:
+        raise _unreadable(path, _reason(oiio))
+    try:
+        return source.spec().get_int_attribute("Exif:ColorSpace", 1) == _UNCALIBRATED
     finally:
         source.close()
 

@@ -9,27 +9,24 @@ import numpy as np
 
 from torchmat.capture.extra import rawpy
 from torchmat.errors import DataError, message
+from torchmat.images import Exif
 
 RAW_SUFFIXES = frozenset({
     ".3fr", ".arw", ".cr2", ".cr3", ".crw", ".dcr", ".dng", ".erf", ".iiq", ".kdc", ".mef", ".mos", ".mrw", ".nef", ".nrw", ".orf",
     ".pef", ".raf", ".raw", ".rw2", ".rwl", ".sr2", ".srf", ".srw", ".x3f",
 })
 _FULL = 0.99  # of the white level from which a photosite counts as clipped
-# LibRaw's codes of how the stored picture is turned to stand upright.
-_TURNS = {0: 0, 3: 2, 5: 1, 6: 3}  # times 90 degrees, anticlockwise
+# LibRaw's codes of how the stored picture is turned to stand upright: EXIF's orientation, and quarter turns counterclockwise.
+_TURNS = {0: (1, 0), 3: (3, 2), 5: (8, 1), 6: (6, 3)}
 
 
 class Raw(NamedTuple):
-    """A raw file: `size` (width, height) upright, `linear` [H, W, 3] float32 and `clipped` [H, W], both None where only the
-    head is read; exposure `seconds`, `f_number`, `iso` and `focal` length in mm where rawpy tells them."""
+    """A raw file as it is shown: `linear` [3, H, W] float32 and `clipped` [H, W] (empty where only the head is read), and what
+    it says of how it was taken, as far as rawpy tells."""
 
-    size: tuple[int, int]
-    linear: np.ndarray | None
-    clipped: np.ndarray | None
-    seconds: float | None
-    f_number: float | None
-    iso: float | None
-    focal: float | None
+    exif: Exif
+    linear: np.ndarray
+    clipped: np.ndarray
 
 
 def read_raw(path: str | Path, pixels: bool = True) -> Raw:
@@ -43,25 +40,26 @@ def read_raw(path: str | Path, pixels: bool = True) -> Raw:
     library = rawpy()
     try:
         with library.imread(str(path)) as raw:
-            turns = _TURNS.get(raw.sizes.flip, 0)
-            size = (raw.sizes.width, raw.sizes.height) if turns % 2 == 0 else (raw.sizes.height, raw.sizes.width)
-            facts = [_said(raw, name) for name in ("shutter_speed", "aperture", "iso_speed", "focal_length")]
+            orientation, turns = _TURNS.get(raw.sizes.flip, (1, 0))
+            numbers = (_said(raw, name) for name in ("focal_length", "", "shutter_speed", "aperture", "iso_speed"))
+            exif = Exif((raw.sizes.width, raw.sizes.height), orientation, "", *numbers)
             if not pixels:
-                return Raw(size, None, None, *facts)
+                return Raw(exif, np.empty((3, 0, 0), np.float32), np.empty((0, 0), bool))
             developed = raw.postprocess(
                 gamma=(1, 1), no_auto_bright=True, use_camera_wb=False, use_auto_wb=False, output_color=library.ColorSpace.sRGB,
                 output_bps=16, highlight_mode=library.HighlightMode.Clip, adjust_maximum_thr=0.0,
             )
-            linear = developed.astype(np.float32) / np.float32(65535)
-            return Raw(size, linear, _clipped(raw, turns, linear.shape[:2]), *facts)
+            linear = developed.transpose(2, 0, 1).astype(np.float32) / np.float32(65535)
+            return Raw(exif, np.ascontiguousarray(linear), _clipped(raw, turns, linear.shape[1:]))
     except library.LibRawError as error:
         step = "Check that the file is complete, or convert it to DNG or 16-bit TIFF."
         raise DataError(message(str(path), "the raw file", "be readable", str(error), step)) from error
 
 
 def _said(raw: Any, name: str) -> float | None:
-    """Return a field of the exposure, None where this release of rawpy has none."""
-    return getattr(getattr(raw, "other", None), name, None)
+    """Return a number that the file says, None where it does not, or where this release of rawpy has none."""
+    number = getattr(getattr(raw, "other", None), name, None)
+    return float(number) if number and 0 < number < float("inf") else None
 
 
 def _clipped(raw: Any, turns: int, shape: tuple[int, int]) -> np.ndarray:
