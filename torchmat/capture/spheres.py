@@ -40,17 +40,17 @@ class Ray(NamedTuple):
 
 
 def find_highlight(where: str, linear: np.ndarray, clipped: np.ndarray, around: np.ndarray) -> Highlight:
-    """Return the highlight in a photograph `linear` [H, W, 3] within the outline `around` [n, 2] of a mirror sphere.
+    """Return the highlight in a photograph `linear` [3, H, W], of which `clipped` [H, W] is no more than that bright, within the outline `around` [n, 2] of a mirror sphere.
 
     The brightest compact spot, its centre weighted by the light above its surroundings. Raises DataError, which starts with
     `where`, when the sphere is no mirror (what is bright is broad, or does not stand out) or shows two lamps alike.
     """
     low = np.maximum(np.floor(around.min(0)).astype(int), 0)
-    high = np.minimum(np.ceil(around.max(0)).astype(int) + 1, np.array(linear.shape[1::-1]))
+    high = np.minimum(np.ceil(around.max(0)).astype(int) + 1, np.array(linear.shape[:0:-1]))
     if (high - low < 3).any():
         raise DataError(message(where, "the sphere", "lie in the photograph", "it is outside", "Photograph all of the board."))
     window = (slice(low[1], high[1]), slice(low[0], high[0]))
-    grey = linear[window].mean(axis=2, dtype=np.float64)
+    grey = linear[:, *window].mean(axis=0, dtype=np.float64)
     inside = _share_of_outline(around - low, grey.shape) < _RIM
     grey = np.where(inside, grey, 0)
     bright = inside & ((grey >= _BRIGHT * grey.max()) if not (clipped[window] & inside).any() else clipped[window])
