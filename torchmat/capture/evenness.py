@@ -12,10 +12,11 @@ from torch import Tensor
 from torchmat.errors import RangeError, message
 
 _ORDERS = 3  # r^2, r^4, r^6
-_DEGREE = 4  # of a flat field's polynomial
+_DEGREE = 6  # of a flat field's polynomial
 _BLOCKS = 48  # along the longer side of a flat field
 _ROUNDS = 12
 _TUKEY = 4.0
+_DARKEST = 1e-6
 _REACH = 0.55  # of the half diagonal that the paper must reach, or vignetting is not looked for
 
 
@@ -67,7 +68,7 @@ def _terms(size: tuple[int, int], pixels: np.ndarray, radial: bool) -> np.ndarra
 
 
 def flat_field(linear: Tensor, clipped: Tensor) -> Vignetting:
-    """Return the vignetting that a photograph [3, H, W] of evenly lit white shows, as a polynomial of degree 4 of its logarithm.
+    """Return the vignetting that a photograph [3, H, W] of evenly lit white shows, as a polynomial of degree 6 of its logarithm.
 
     Raises RangeError when it is clipped, dark, or no even white (more than a tenth of it deviates by more than 5 %).
     """
@@ -136,36 +137,35 @@ def fit_courses(
         sloped: whether light may be stronger to one side.
     """
     counts = [len(one) for one in points]
-    where = np.repeat(np.arange(len(counts)), counts)
-    place, pixel = np.concatenate(points), np.concatenate(pixels)
-    grey = np.concatenate([np.log(np.maximum(one.mean(1), 1e-6)) - np.log(np.maximum(e, 1e-6)) for one, e in zip(values, expected, strict=True)])
-    shared = np.zeros((len(grey), 0))
+    where, pixel = np.repeat(np.arange(len(counts)), counts), np.concatenate(pixels)
+    lit = np.concatenate(expected)[:, None]
+    colours = np.log(np.maximum(np.concatenate(values), _DARKEST)) - np.log(np.maximum(lit, _DARKEST))
     if known is not None:
-        grey = grey - np.log(known.at(pixel))
-    elif np.sqrt(_terms(size, pixel, True)[:, 0].max(initial=0)) > _REACH:
-        shared = _terms(size, pixel, True)
-    own = np.column_stack((np.ones(len(grey)), place[:, :2] / 100)) if sloped else np.ones((len(grey), 1))
-    design = np.zeros((len(grey), len(counts) * own.shape[1] + shared.shape[1]))
+        colours = colours - np.log(known.at(pixel))[:, None]
+    place = np.concatenate(points)[:, :2] / 100
+    own = np.column_stack((np.ones(len(place)), place)) if sloped else np.ones((len(place), 1))
+    radial = _terms(size, pixel, True)
+    seeks = known is None and np.sqrt(radial[:, 0].max(initial=0)) > _REACH
+    design = np.zeros((len(place), len(counts) * own.shape[1] + (_ORDERS if seeks else 0)))
     for column in range(own.shape[1]):
-        design[np.arange(len(grey)), where * own.shape[1] + column] = own[:, column]
-    design[:, len(counts) * own.shape[1] :] = shared
-    found, covariance, off = _robust(design, grey)
-    vignetting = known
-    if shared.shape[1]:
-        weights = found[-_ORDERS:]
-        corner = np.ones(_ORDERS)  # r = 1
-        # Neighbouring points share their errors: about one in nine counts.
-        sigma = float(np.sqrt(corner @ covariance[-_ORDERS:, -_ORDERS:] @ corner * 9))
-        vignetting = Vignetting(size, weights, True, sigma, "the board's white paper")
-    courses = []
-    for number, count in enumerate(counts):
-        mine = where == number
-        part = found[number * own.shape[1] : (number + 1) * own.shape[1]]
-        slope = part[1:] / 100 if sloped else np.zeros(2)
-        even = np.log(np.maximum(values[number], 1e-6)) - (grey - off)[mine][:, None] - np.log(np.maximum(expected[number], 1e-6))[:, None] + part[0]
-        if known is not None:
-            even = even - np.log(known.at(pixels[number]))[:, None]
-        near = np.abs(off[mine]) < 3 * max(1.4826 * float(np.median(np.abs(off[mine]))), 1e-6)
-        level = np.exp(np.median(even[near], axis=0)) if count else np.full(3, np.nan)
-        courses.append(Course(level, slope, float(np.sqrt(np.mean(off[mine][near] ** 2)))))
-    return courses, vignetting
+        design[np.arange(len(place)), where * own.shape[1] + column] = own[:, column]
+    if seeks:
+        design[:, -_ORDERS:] = radial
+    found, covariance, off = _robust(design, colours.mean(1))
+    if seeks:
+        # At the corner, r = 1, all terms are 1. Neighbouring points share their errors: about one in nine counts.
+        sigma = float(np.sqrt(covariance[-_ORDERS:, -_ORDERS:].sum() * 9))
+        known = Vignetting(size, found[-_ORDERS:], True, sigma, "the board's white paper")
+        colours = colours - (radial @ found[-_ORDERS:])[:, None]
+    slopes = found[: len(counts) * own.shape[1]].reshape(len(counts), -1)[:, 1:] / 100
+    slopes = slopes if sloped else np.zeros((len(counts), 2))
+    return [_course(colours[where == j], place[where == j] * 100, off[where == j], slopes[j]) for j in range(len(counts))], known
+
+
+def _course(colours: np.ndarray, place: np.ndarray, off: np.ndarray, slope: np.ndarray) -> Course:
+    """Return one photograph's course of logarithms [n, 3] at places [n, 2] in mm, whose common fit is `off` [n] away."""
+    if not len(off):
+        return Course(np.full(3, np.nan), slope, np.nan)
+    near = np.abs(off) < 3 * max(1.4826 * float(np.median(np.abs(off))), 1e-6)
+    level = np.exp(np.median(colours[near] - (place[near] @ slope)[:, None], axis=0))
+    return Course(level, slope, float(np.sqrt(np.mean(off[near] ** 2))))

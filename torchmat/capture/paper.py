@@ -62,6 +62,6 @@ def read_paper(
     places = np.where(inside[:, None], pixels, 1.0)
     values = np.stack([map_coordinates(plane, places.T[::-1], order=1, output=np.float64) for plane in linear], axis=1)
     row, column = np.round(places.T[::-1]).astype(int)
-    full = maximum_filter(clipped, size=3)[row, column] if clipped.any() else np.zeros(len(points), bool)
+    full = np.asarray(maximum_filter(clipped, size=3))[row, column]
     hidden = blocked(points, pose.views(points), spheres, radius)
     return Reading(values, inside & ~full & ~hidden, pixels)

@@ -11,8 +11,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchmat.btf.photographs import read_linear
-from torchmat.images import Exif, read_exif
+from torchmat.capture.develop import Developed, develop, said_of
+from torchmat.images import Exif
 
 # Quarter turns, counterclockwise, from the picture as it is shown to the sensor's, by EXIF orientation. Mirrored ones are no camera's.
 _TURNS = {1: 0, 2: 0, 3: 2, 4: 2, 5: 1, 6: 1, 7: 3, 8: 3}
@@ -29,35 +29,41 @@ class Photograph:
         size: width and height in pixels, in the frame of the sensor: a camera that was held upright has it as one that was not.
         turns: quarter turns, counterclockwise, from the picture as it is shown to the sensor's frame.
         exif: what the file says of camera and exposure.
-        read: gives the pixels as they are shown, [3, H, W], float32, linear.
+        read: develops it: its pixels as they are shown, linear, and which of them are clipped.
     """
 
     path: Path
     size: tuple[int, int]
     turns: int
     exif: Exif
-    read: Callable[[], Tensor]
+    read: Callable[[], Developed]
 
     @property
     def name(self) -> str:
         """The file's name."""
         return self.path.name
 
+    def developed(self) -> Developed:
+        """Return the pixels, and which of them are clipped, in the frame of the sensor."""
+        found = self.read()
+        linear = torch.rot90(found.linear, self.turns, (1, 2)).contiguous()
+        return found._replace(linear=linear, clipped=torch.rot90(found.clipped, self.turns, (0, 1)).contiguous())
+
     def linear(self) -> Tensor:
         """Return the pixels [3, H, W], float32, linear, in the frame of the sensor."""
-        return torch.rot90(self.read(), self.turns, (1, 2)).contiguous()
+        return self.developed().linear
 
 
-def photograph(path: str | Path, encoding: str = "auto", read: Callable[[], Tensor] | None = None) -> Photograph:
-    """Return a photograph of a file; `read` where its pixels come from elsewhere, `encoding` as `load_btf` has it.
+def photograph(path: str | Path, encoding: str = "auto", read: Callable[[], Developed] | None = None) -> Photograph:
+    """Return a photograph of a file, raw ones too; `read` where its pixels come from elsewhere, `encoding` as `load_btf` has it.
 
     Raises DataError, which names the file, where it cannot be opened.
     """
     path = Path(path)
-    exif = read_exif(path)
+    exif = said_of(path)
     turns = _TURNS[exif.orientation]
     width, height = exif.size
-    return Photograph(path, (width, height), turns, exif, read or (lambda: read_linear(path, encoding)))
+    return Photograph(path, (width, height), turns, exif, read or (lambda: develop(path, encoding)))
 
 
 def turned_alike(photographs: Sequence[Photograph]) -> list[Photograph]:

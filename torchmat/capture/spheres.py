@@ -171,7 +171,7 @@ def _nearest(rays: list[Ray], far: Light) -> Light:
         return Light(far.direction, far.sigma_deg, residual=max(missed), how=far.how, notes=("the spheres do not tell how far the lamp is: taken for far",))
     across = np.eye(3) - np.outer(along, along)
     sigma = float(np.degrees(np.sqrt(np.trace(across @ covariance @ across) / 2) / distance))
-    notes = ()
+    notes: tuple[str, ...] = ()
     if max(missed) > 4 * expected:
         notes = (f"the rays miss each other by {max(missed):.1f} mm, {max(missed) / expected:.0f} times what their errors explain: a sphere stands elsewhere, or they show two lamps",)
     return Light(along, sigma, position, covariance, max(missed), "two mirror spheres" if len(rays) == 2 else "mirror spheres", notes)
