@@ -58,10 +58,10 @@ def read_paper(
     """Return what a photograph `linear` [3, H, W] shows at points [n, 3] in mm; `spheres` [m, 3] of a `radius` may hide some."""
     pixels = pose.project(camera, points)
     height, width = clipped.shape
-    inside = (pixels >= 1).all(1) & (pixels <= np.array([width, height]) - 2).all(1)
+    inside = np.asarray(((pixels >= 1) & (pixels <= np.array([width, height]) - 2)).all(axis=1))
     places = np.where(inside[:, None], pixels, 1.0)
     values = np.stack([map_coordinates(plane, places.T[::-1], order=1, output=np.float64) for plane in linear], axis=1)
     row, column = np.round(places.T[::-1]).astype(int)
-    full = np.asarray(maximum_filter(clipped, size=3))[row, column]
+    full: np.ndarray = maximum_filter(clipped, size=3)
     hidden = blocked(points, pose.views(points), spheres, radius)
-    return Reading(values, inside & ~full & ~hidden, pixels)
+    return Reading(values, inside & ~full[row, column] & ~hidden, pixels)
