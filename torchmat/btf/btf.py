@@ -342,11 +342,26 @@ class Btf:
 
     def light_planes(self, numbers: Tensor, dtype: torch.dtype | None = None) -> Tensor:
         """Return the distinct lights of numbers [k] as unit planes, [k, 3, 1, 1] or [k, 3, H, W]."""
+        if self.light_position is None:
+            return self.lights[numbers][:, :, None, None].to(dtype or self.lights.dtype)
         return self._planes(LIGHT, self._first_of(self.light_index, numbers), dtype)
 
     def view_planes(self, numbers: Tensor, dtype: torch.dtype | None = None) -> Tensor:
         """Return the distinct views of numbers [k] as unit planes, [k, 3, 1, 1] or [k, 3, H, W]."""
+        if self.view_position is None:
+            return self.views[numbers][:, :, None, None].to(dtype or self.views.dtype)
         return self._planes(VIEW, self._first_of(self.view_index, numbers), dtype)
+
+    def of_size(self, rows: int, columns: int) -> Btf:
+        """Return the same samples, whose `light_planes` and `view_planes` are those of other texels that cover the same part."""
+        return self if self.near is None else self.with_near(self.near.resized(rows, columns))
+
+    def corners(self) -> Btf:
+        """Return the same samples, whose `light_planes` and `view_planes` are those of the texels in the corners alone."""
+        if self.near is None:
+            return self
+        ends = (slice(0, None, max(1, length - 1)) for length in (self.height, self.width))
+        return self.with_near(self.near.window(*ends))
 
     def _first_of(self, index: Tensor, numbers: Tensor) -> Tensor:
         first = torch.full((int(index.max()) + 1,), len(index), dtype=torch.long)

@@ -9,13 +9,15 @@ from torch import Tensor
 
 from torchmat.errors import RangeError, message
 from torchmat.geometry.lambert import estimate_intensities, lambert_residual
-from torchmat.geometry.photometric_stereo import photometric_stereo
+from torchmat.geometry.from_photographs import Relief, relief_from_stereo
+from torchmat.geometry.photometric_stereo import Stereo, photometric_stereo
 
 if TYPE_CHECKING:
     from torchmat.btf.btf import Btf
 
 TEXELS = 4096  # are looked at, evenly chosen: more change the figures by less than a hundredth
 GOOD, WRONG = 0.1, 0.25  # residuals of matte surfaces, and of lights that do not belong to their photographs
+_STEREO_VALUES = 32_000_000  # of photometric stereo at a time
 _SMALL = 0.05  # a residual below leaves nothing for another encoding or other intensities to explain
 _BETTER = 0.6  # another encoding or other intensities must leave less than so much of the residual, before they are named
 _NO_BETTER = 0.5  # of what lights dealt out at random leave: above, the pairing explains little
@@ -88,21 +90,62 @@ class _Sample(NamedTuple):
             return images, weight
         return images[:, :, mask][..., None], weight[:, :, mask][..., None]
 
-    def residual(self, light: Tensor | None = None, intensity: Tensor | None = None) -> float:
+    def residual(self, order: Tensor | None = None, intensity: Tensor | None = None) -> float:
+        """Return the residual, with the lights in another `order` [n] or divided by intensities [n, 3]."""
         images, weight = self._seen()
         if intensity is not None:
             images = images / intensity[:, :, None, None].to(images.dtype)
-        light = self.btf.light[self.rows] if light is None else light
+        light = self._lights(self.rows if order is None else self.rows[order])
         return lambert_residual(images, light, photometric_stereo(images, light, weight))
+
+    def _lights(self, rows: Tensor) -> Tensor:
+        """Return the lights of samples as photometric stereo takes them, of an object alone where there is a mask."""
+        light, mask = lights_of(self.btf, rows), self.btf.mask
+        return light[:, :, mask][..., None] if light.ndim == 4 and mask is not None and bool(mask.any()) else light
 
     def intensities(self) -> Tensor | None:
         images, weight = self._seen()
-        return estimate_intensities(images, self.btf.light[self.rows], weight)
+        return estimate_intensities(images, self._lights(self.rows), weight)
 
     def best(self, known: float) -> float:
         """Return the residual with the intensities that fit best, if it is below what is `known`."""
         found = self.intensities()
         return known if found is None else min(known, self.residual(intensity=found))
+
+
+def lights_of(btf: Btf, rows: Tensor, dtype: torch.dtype | None = None) -> Tensor:
+    """Return the lights of samples as photometric stereo takes them: [n, 3], or [n, 3, H, W] of near ones."""
+    light = btf.directions(rows, dtype)[0]
+    return light[:, :, 0, 0] if btf.light_position is None else light
+
+
+def stereo_of(btf: Btf, rows: Tensor, dtype: torch.dtype) -> Stereo:
+    """Return what photometric stereo finds of samples of one view, so many rows of texels at a time that memory is bounded."""
+    some = max(1, _STEREO_VALUES // (3 * len(rows) * btf.width))
+    bands = [btf.window(top, 0, min(some, btf.height - top), btf.width) for top in range(0, btf.height, some)]
+    found = [_stereo_of(band, rows, dtype) for band in bands]
+    return Stereo(*(torch.cat(maps, dim=1) for maps in zip(*found, strict=True)))
+
+
+def _stereo_of(band: Btf, rows: Tensor, dtype: torch.dtype) -> Stereo:
+    """Return what some rows of texels show; where none of them shows the object their weights alone say so."""
+    mask = band.mask if band.mask is not None and bool(band.mask.any()) else None
+    return photometric_stereo(band.images(rows, dtype), lights_of(band, rows, dtype), band.weights(rows), mask)
+
+
+def relief_of_one_view(
+    btf: Btf, rows: Tensor, dtype: torch.dtype, tiles: bool = False, integration: str = "poisson"
+) -> Relief:
+    """Return the relief that samples of one view show (`relief_from_photographs`).
+
+    Under near lights it is found twice: directions and fall-off of the second time are those of texels as high as the first
+    time found them. What is left of the height's own error changes neither by much.
+    """
+    found = relief_from_stereo(stereo_of(btf, rows, dtype), tiles, integration, btf.mask)
+    if btf.light_position is None:
+        return found
+    raised = btf.with_near(btf.near and btf.near.raised(found.height))
+    return relief_from_stereo(stereo_of(raised, rows, dtype), tiles, integration, btf.mask)
 
 
 def _sample(btf: Btf) -> _Sample:
@@ -113,7 +156,7 @@ def _sample(btf: Btf) -> _Sample:
 def one_view(btf: Btf) -> bool:
     """Tell whether a capture is of one view, under lights that photometric stereo can do with."""
     light = btf.light[btf.light[:, 2] > 0].double()
-    if len(btf.views) > 1 or len(light) < 4 or btf.near is not None:
+    if len(btf.views) > 1 or len(light) < 4:
         return False
     values = torch.linalg.svdvals(light)
     return float(values[2]) > 0.02 * float(values[0])
@@ -125,7 +168,7 @@ def lambert_of(btf: Btf) -> Lambert | None:
         return None
     sample = _sample(btf)
     order = torch.randperm(len(sample.rows), generator=torch.Generator().manual_seed(0))
-    residual, shuffled = sample.residual(), sample.residual(btf.light[sample.rows][order])
+    residual, shuffled = sample.residual(), sample.residual(order)
     if residual < _SMALL:
         return Lambert(residual, shuffled, btf.encoding, None, {})
     others = {}

@@ -98,15 +98,14 @@ class Geometry:
         return found.repeats, {"tiles": found.repeats, "tiling": found.report()}
 
     def _of_one_view(self, btf):
-        from torchmat.btf.lambert import lambert_of, with_estimated_intensities
+        import torch
+
+        from torchmat.btf.lambert import lambert_of, relief_of_one_view, with_estimated_intensities
         from torchmat.btf.lit import paired_lights
         from torchmat.btf.tiling import btf_tiling
         from torchmat.geometry import relief_from_photographs
         from torchmat.report.lights import lambert_text
 
-        from torchmat.btf.near import far_only
-
-        far_only("geometry", btf.near)
         rows = (btf.light[:, 2] > 0).nonzero()[:, 0]
         lit = btf if len(rows) == len(btf) else btf.picked(rows)
         figures = lambert_of(lit)
@@ -120,11 +119,15 @@ class Geometry:
         for line in lambert_text(figures):
             print(line)
         with phase("looking at the images"):
-            images, light, weight = lit.images(range(len(lit))), lit.light, lit.weights(range(len(lit)))
+            near = lit.light_position is not None
+            images, light, weight = lit.images(range(0 if near else len(lit))), lit.light, lit.weights(range(0 if near else len(lit)))
         tiles, tiling = self._tiles(btf_tiling(lit))
         described = {
             **tiling, "notes": list(lit.source.notes), "lights": paired_lights(lit), "lambert": figures and figures.report(),
             **btf.object_figures(),
         }
         with phase("recovering the relief"):
+            if near:
+                found = relief_of_one_view(lit, torch.arange(len(lit)), lit.light.dtype, tiles, self.integration)
+                return found, {**described, **lit.near.figures()}
             return relief_from_photographs(images, light, weight, tiles, self.integration, lit.mask), described

@@ -36,7 +36,7 @@ class _SeenOnSurface(Seen):
         btf = self.surface.training.btf
         lit = self.surface.lit[btf.light_index[rows]]
         direct = super().predicted(own, rows) * lit
-        light = btf.light[rows][:, :, None, None].to(lit.dtype)
+        light = btf.directions(rows, lit.dtype)[0]
         sent = between(self.whole, light, {**self.whole.maps, **maps})
         return direct if sent is None else direct + sent.whole()
 

@@ -15,6 +15,7 @@ from torchmat.errors import NotMeasuredError, message
 from torchmat.metrics import SampleErrors
 from torchmat.models import Material
 from torchmat.models.edit import resized
+from torchmat.models.relief_maps import shade_under
 from torchmat.progress import progress as progress_bar
 from torchmat.progress import working
 
@@ -37,10 +38,13 @@ class Evaluation(NamedTuple):
 
 
 def predict(material: Material, btf: Btf, indices: Tensor) -> Tensor:
-    """Return the material's images [k, 3, H, W] for chosen samples of `btf`."""
+    """Return the material's images [k, 3, H, W] for chosen samples of `btf`; near lights are those of texels as high as they are."""
     light, view = btf.directions(indices, material.dtype)
     with torch.no_grad():
-        return material.shade(light, view)
+        if btf.near is None or not material.has_relief or material.cutout is not None:
+            return material.shade(light, view)
+        raised = btf.with_near(btf.near.raised(material.maps["height"].detach()))
+        return shade_under(material, raised.directions(indices, material.dtype)[0], view)
 
 
 def evaluate(

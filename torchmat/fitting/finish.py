@@ -89,6 +89,8 @@ def _left_out(training: Training, material: Material) -> dict[str, Any] | None:
     rays = (len(btf.lights) + 2 * len(btf.views)) * FACTOR**2 * material.texels
     if not material.has_relief or material.relief != FINE:
         why = "the surface has no relief that is followed finely"
+    elif btf.near is not None:
+        why = "lights or cameras are near: its rays are those of far ones"
     elif training.watch.spent:
         why = "no seconds were left"
     elif rays > _MOST_VALUES:

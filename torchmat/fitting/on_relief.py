@@ -10,7 +10,6 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from torchmat.btf.near import far_only
 from torchmat.errors import FitError, RangeError
 from torchmat.fitting.between import settled
 from torchmat.fitting.evaluate import evaluate
@@ -40,7 +39,6 @@ def fit_on_relief(
 
     The height stays as it is. Of a `window` only its texels are fitted; `sight` is that of the whole height where it is known.
     """
-    far_only("fit on a relief", training.btf.near)
     height = height.to(training.dtype)
     surface = bring_onto(training, height, window=window, sight=sight)
     height = height if window is None else window.crop(height)

@@ -18,6 +18,7 @@ _DARKEST, _BRIGHTEST = 0.25, 0.9  # ranks outside are shadow or highlight until 
 _WIDTH = 2.0  # residuals beyond so many spreads do not count
 _LEAST_SPREAD = 0.01  # of the albedo: camera noise and interreflection, below which nothing is an outlier
 _TEXELS = 65536  # at a time, to bound memory
+_NEAR_TEXELS = 16384  # of those that have lights of their own
 
 
 class Stereo(NamedTuple):
@@ -52,6 +53,8 @@ def check_lights(where: str, light: Tensor, images: int) -> None:
 def photometric_stereo(images: Tensor, light: Tensor, weight: Tensor | None = None, mask: Tensor | None = None) -> Stereo:
     """Return normals and albedo of images [n, 3, H, W] (linear, one view) under distant `light` [n, 3] (unit).
 
+    Under near lights `light` is that of each texel, [n, 3, H, W], and the fall-off is taken out of the images.
+
     Lambert's law by iteratively reweighted least squares on the mean of the channels, starting without each texel's
     darkest quarter and brightest tenth; Tukey's weights then decide what is shadow or highlight. `weight` [n, 1, H, W]
     in [0, 1] marks samples to leave out. Outside of a `mask`, bool [H, W], nothing is looked at: the normal there is +z,
@@ -64,8 +67,14 @@ def photometric_stereo(images: Tensor, light: Tensor, weight: Tensor | None = No
     if inside is not None:
         return _inside(images, light, weight, inside)
     check_finite(where, "images", images, "Give those samples weight 0.")
-    check_lights(where, light, len(images))
     height, width = images.shape[-2:]
+    near = light.ndim == 4
+    if near and light.shape != images.shape:
+        fact = f"images are {tuple(images.shape)} and light is {tuple(light.shape)}"
+        raise ShapeError(message(where, "light", "be [image, 3] or that of each texel of each image", fact))
+    check_lights(where, light[:, :, height // 2, width // 2] if near else light, len(images))
+    if near:
+        return _near(images, light, weight)
     grey, light = images.mean(dim=1).flatten(1).T.contiguous(), light.double()
     given = torch.ones_like(grey) if weight is None else weight.reshape(len(images), -1).T.to(grey.dtype).contiguous()
     parts = [_solve(grey[part], light, given[part]) for part in _parts(len(grey))]
@@ -82,9 +91,28 @@ def photometric_stereo(images: Tensor, light: Tensor, weight: Tensor | None = No
     )
 
 
+def _near(images: Tensor, light: Tensor, weight: Tensor | None) -> Stereo:
+    """Return what `photometric_stereo` finds where each texel has lights of its own, [n, 3, H, W]."""
+    grey, planes = images.mean(dim=1).flatten(1).T.contiguous(), light.flatten(2).permute(2, 0, 1)
+    given = torch.ones_like(grey) if weight is None else weight.reshape(len(images), -1).T.to(grey.dtype).contiguous()
+    normals, albedos, confidences = [], [], []
+    for first in range(0, len(grey), _NEAR_TEXELS):
+        part = slice(first, first + _NEAR_TEXELS)
+        own = planes[part].double().contiguous()
+        normal, kept, confidence = _solve(grey[part], own, given[part])
+        shading = _along(own, normal).clamp(min=0)
+        share = safe.divide(kept * shading, (kept * shading * shading).sum(dim=1, keepdim=True)).T
+        albedos.append((share[:, None] * images.flatten(2)[:, :, part].double()).sum(dim=0).clamp(min=0))
+        normals.append(normal)
+        confidences.append(confidence[None])
+    found = (torch.cat(maps, dim=1).to(images.dtype) for maps in (normals, albedos, confidences))
+    return Stereo(*(maps.unflatten(1, images.shape[-2:]) for maps in found))
+
+
 def _inside(images: Tensor, light: Tensor, weight: Tensor | None, inside: Tensor) -> Stereo:
     """Return what `photometric_stereo` finds of the texels inside a mask, bool [H, W], put in their places."""
     weight = None if weight is None else weight.reshape(len(images), 1, *inside.shape)[:, :, inside][:, :, None]
+    light = light[:, :, inside][:, :, None] if light.ndim == 4 else light
     found = photometric_stereo(images[:, :, inside][:, :, None], light, weight)
     normal, albedo, confidence = (values.new_zeros(len(values), *inside.shape) for values in found)
     normal[2] = 1
@@ -100,13 +128,14 @@ def _parts(texels: int) -> list[slice]:
 def _solve(grey: Tensor, light: Tensor, given: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """Return normal [3, t], final weights [t, n] and confidence [t] for grey values and weights [t, n].
 
+    `light` is [n, 3], or [t, n, 3] where each texel has its own.
     Here texels are rows: medians and the choice of texels that still move then run along memory. Weights are found in
     the precision of `grey`; the last solution is in double precision.
     """
     up = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)[:, None]
     weight, light = shading_weights(grey, light.to(grey.dtype), given).double(), light.double()
-    scaled = _solve_symmetric(_information(weight, light), ((weight * grey) @ light).T.contiguous())
-    full = _least_eigenvalue(_information(torch.ones(1, len(light), dtype=torch.float64), light))
+    scaled = _solve_symmetric(_information(weight, light), _summed(weight * grey, light))
+    full = _least_eigenvalue(_information(torch.ones(1, grey.shape[1], dtype=torch.float64), light))
     confidence = (_least_eigenvalue(_information(weight, light)) / full).clamp(0, 1)
     lit = (scaled.square().sum(dim=0) > 1e-18) & (scaled[2] > 0)
     normal = torch.where(lit, safe.normalise(scaled, dim=0), up)
@@ -114,14 +143,17 @@ def _solve(grey: Tensor, light: Tensor, given: Tensor) -> tuple[Tensor, Tensor, 
 
 
 def shading_weights(grey: Tensor, light: Tensor, given: Tensor) -> Tensor:
-    """Return weights [t, n] that leave out shadow and highlight, by iteration from ranks, of values and given weights [t, n]."""
-    count = len(light)
+    """Return weights [t, n] that leave out shadow and highlight, by iteration from ranks, of values and given weights [t, n].
+
+    `light` is [n, 3], or [t, n, 3] where each texel has its own.
+    """
+    count = grey.shape[1]
     rank = grey.argsort(dim=1).argsort(dim=1).to(grey.dtype) / max(count - 1, 1)
     weight = given * ((rank >= _DARKEST) & (rank <= _BRIGHTEST)) if count > 5 else given.clone()
     spread = torch.zeros(len(grey), dtype=grey.dtype)
     for turn in range(_ROUNDS):
-        scaled = _solve_symmetric(_information(weight, light), ((weight * grey) @ light).T.contiguous())
-        predicted = scaled.T @ light.T
+        scaled = _solve_symmetric(_information(weight, light), _summed(weight * grey, light))
+        predicted = _along(light, scaled)
         residual = grey - predicted
         if turn < _SPREAD_ROUNDS:
             brightness = scaled.square().sum(dim=0).sqrt()
@@ -133,8 +165,25 @@ def shading_weights(grey: Tensor, light: Tensor, given: Tensor) -> Tensor:
     return weight
 
 
+def _summed(values: Tensor, light: Tensor) -> Tensor:
+    """Return the sums over n of values [t, n] times light [n, 3] or [t, n, 3], as planes [3, t]."""
+    if light.ndim == 3:
+        return torch.stack([(values * axis).sum(dim=1) for axis in light.unbind(2)])
+    return (values @ light).T.contiguous()
+
+
+def _along(light: Tensor, vector: Tensor) -> Tensor:
+    """Return the products [t, n] of vectors [3, t] with light [n, 3] or [t, n, 3]."""
+    if light.ndim == 3:
+        return (light * vector.T[:, None]).sum(dim=2)
+    return vector.T @ light.T
+
+
 def _information(weight: Tensor, light: Tensor) -> Tensor:
     """Return the sums over n of weight [t, n] times light light^T as planes [6, t]: xx, xy, xz, yy, yz, zz."""
+    if light.ndim == 3:
+        x, y, z = light.unbind(2)
+        return torch.stack([(weight * pair).sum(dim=1) for pair in (x * x, x * y, x * z, y * y, y * z, z * z)])
     x, y, z = light.T
     return (weight @ torch.stack((x * x, x * y, x * z, y * y, y * z, z * z), dim=1)).T.contiguous()
 

@@ -6,10 +6,12 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 import torch
+import torch.nn.functional as functional
 from torch import Tensor, nn
 
+from torchmat import safe
 from torchmat.geometry.rays import look_up, soft_shadow, texel_centres, trace_view
-from torchmat.models.fine_relief import FineRays, fine_rays, refined, seen_along
+from torchmat.models.fine_relief import FACTOR, FineRays, fine_rays, refined, seen_along
 from torchmat.models.indirect import AMBIENT, BETWEEN_MAPS, INDIRECT, Between, arriving, between, share_of, transfer_of
 from torchmat.models.storage import MapSpec
 from torchmat.planes import common_lead
@@ -57,10 +59,22 @@ def shade_texels(material, light: Tensor, view: Tensor) -> Tensor:
     return seen.reshape(*lead, *seen.shape[1:])
 
 
+def shade_under(material, light: Tensor, view: Tensor) -> Tensor:
+    """Return what is seen [n, 3, H, W] of a relief whose texels have lights or views [n, 3, H, W] of their own.
+
+    `light` is that of the surface's texels, wherever a view sees them; `view` that through each place of the plane.
+    """
+    return shade_along(material, light, view, rays(material.maps["height"], light, view, material.tiles, material.relief))
+
+
 def rays(height: Tensor, light: Tensor, view: Tensor, tiles: bool, relief: str = FAST) -> Rays | FineRays:
-    """Return what directions [n, 3, 1, 1] above the horizon meet on `height` [1, H, W]; `relief` is one of RELIEFS."""
+    """Return what directions [n, 3, 1, 1] above the horizon meet on `height` [1, H, W]; `relief` is one of RELIEFS.
+
+    Lights and views may be those of each texel, [n, 3, H, W].
+    """
     (few_lights, which_light), (few_views, which_view) = _distinct(light), _distinct(view)
     if relief == FINE:
+        few_lights, few_views = _between_texels(few_lights), _between_texels(few_views)
         return fine_rays(height, few_lights, which_light, few_views, which_view, tiles)
     shadow = soft_shadow(height, few_lights, tiles=tiles)[which_light]
     rows, columns = height.shape[-2:]
@@ -70,6 +84,13 @@ def rays(height: Tensor, light: Tensor, view: Tensor, tiles: bool, relief: str =
         offset = torch.tensor([across / columns, up / rows], dtype=height.dtype)[:, None, None]
         ends.append(trace_view(height, few_views, centres + offset, tiles).uv - offset)
     return Rays(shadow, ends, which_view)
+
+
+def _between_texels(direction: Tensor) -> Tensor:
+    """Return directions [n, 3, H, W] at FACTOR times their resolution; one for all texels, [n, 3, 1, 1], stays."""
+    if direction.shape[-2:] == (1, 1):
+        return direction
+    return safe.normalise(functional.interpolate(direction, scale_factor=FACTOR, mode="bilinear", align_corners=False))
 
 
 def shade_along(material, light: Tensor, view: Tensor, met: Rays | FineRays) -> Tensor:
@@ -156,7 +177,7 @@ def _raised(direction: Tensor, above: Tensor) -> Tensor:
 def _distinct(direction: Tensor) -> tuple[Tensor, Tensor]:
     """Return the distinct ones of directions [n, 3, 1, 1], and which of them each is: rays are walked once for each."""
     count = len(direction)
-    if count == 1 or direction.requires_grad:
+    if count == 1 or direction.requires_grad or direction.shape[-2:] != (1, 1):
         return direction, torch.arange(count)
     _, which = torch.unique(direction[:, :, 0, 0], dim=0, return_inverse=True)
     first = torch.full((int(which.max()) + 1,), count, dtype=torch.long)

@@ -8,7 +8,9 @@ import torch
 from torch import Tensor
 
 from torchmat import colour, safe
+from torchmat.btf import Btf
 from torchmat.errors import RangeError, check_option, message
+from torchmat.fitting.models.by_texel import TexelFit, fit_texels
 from torchmat.fitting.models.streamed import LinearFit, Moments, solve_texels, stream_moments
 from torchmat.fitting.recipe import Recipe, Rung
 from torchmat.fitting.relief.surface import Surface
@@ -23,6 +25,7 @@ from torchmat.repeatable import one_thread, product
 from torchmat.solvers.least_squares import Design, make_design
 
 _KNEE = 0.0031308  # of linear light: below it codes are a multiple
+_CONSTANT = "1"
 _EYE = 1.0  # of the mean value: darker samples weigh no more
 
 
@@ -51,9 +54,20 @@ def _solve(training: Training, basis: str, space: str = LINEAR) -> tuple[Design,
     return design, moments, solve_texels(training.btf, design, moments, training.used)
 
 
+def _solve_near(training: Training, basis: str, space: str = LINEAR) -> TexelFit:
+    """Return the fit of directions that each texel has of its own."""
+    check_option(f"fit to {basis}", "space", space, SPACES)
+    terms, evaluate = BASES[basis]
+    return fit_texels(training, len(terms), evaluate, encode=_encoded if space == SRGB else None)
+
+
+def _solved(training: Training, basis: str, space: str = LINEAR) -> LinearFit:
+    return _solve(training, basis, space)[2] if training.btf.near is None else _solve_near(training, basis, space).fit
+
+
 def fit_texture(training: Training, *, storage: str = "half") -> Fitted:
     """Least-squares colour per texel for value = colour * cos(light)."""
-    _, _, solved = _solve(training, "cosine")
+    solved = _solved(training, "cosine")
     albedo = solved.coefficients[0].clamp(min=0)  # the non-negative minimum of one unknown is the clamped one
     return Fitted(Texture({"albedo": albedo}, storage=storage), coverage=solved.coverage)
 
@@ -65,7 +79,7 @@ def fit_ptm(training: Training, *, space: str = SRGB, storage: str = "half") -> 
         space: "srgb" fits the codes of a screen, as RTI tools do: nearer to what is seen; "linear" the light itself: nearer in highlights,
             and what a solver that steps takes unless it is told.
     """
-    _, _, solved = _solve(training, "polynomial", space)
+    solved = _solved(training, "polynomial", space)
     maps = {"polynomial": solved.coefficients.flatten(0, 1)}
     return Fitted(Ptm(maps, space=space, storage=storage), coverage=solved.coverage)
 
@@ -79,7 +93,7 @@ def fit_hsh(training: Training, *, terms: int = 9, space: str = SRGB, storage: s
             and what a solver that steps takes unless it is told.
     """
     check_option("fit hsh", "terms", terms, HSH_TERMS)
-    _, _, solved = _solve(training, f"hsh{terms}", space)
+    solved = _solved(training, f"hsh{terms}", space)
     maps = {"harmonic": solved.coefficients.flatten(0, 1)}
     return Fitted(Hsh(maps, terms=terms, space=space, storage=storage), coverage=solved.coverage)
 
@@ -93,10 +107,14 @@ def fit_lptm(training: Training, *, space: str = SRGB, storage: str = "half") ->
         space: "srgb" fits the codes of a screen, as RTI tools do: nearer to what is seen; "linear" the light itself: nearer in highlights,
             and what a solver that steps takes unless it is told.
     """
-    design, moments, solved = _solve(training, "polynomial", space)
+    if training.btf.near is None:
+        design, moments, solved = _solve(training, "polynomial", space)
+        ones = product(design.left.T, training.used.double()[:, None])[:, 0].to(training.dtype)
+        total = torch.einsum("r,rchw->chw", ones, moments.product).clamp(min=0)
+    else:
+        solved, sums = _solve_near(training, "polynomial", space)
+        total = sums[BASES["polynomial"].terms.index(_CONSTANT)].clamp(min=0)
     luminance = colour.luminance(solved.coefficients, dim=1)
-    ones = product(design.left.T, training.used.double()[:, None])[:, 0].to(training.dtype)
-    total = torch.einsum("r,rchw->chw", ones, moments.product).clamp(min=0)
     brightness = colour.luminance(total)
     grey = torch.ones_like(total)
     chroma = torch.where(brightness > 0, safe.divide(total, brightness), grey)
@@ -118,9 +136,12 @@ def fit_lambert(training: Training, *, normals: str = "auto", storage: str = "ha
         step = "Use geometry='recover' or a height map, or normals='map'."
         raise RangeError(message("fit lambert", "normals='height'", "have a height", "the geometry is flat", step))
     btf, used, dtype = training.btf, training.used, training.dtype
-    design = make_design(btf.light.double(), used, importance=training.importance)
-    moments = stream_moments(btf, design, used, dtype, training.progress)
-    solved = solve_texels(btf, design, moments, used)
+    if btf.near is None:
+        design = make_design(btf.light.double(), used, importance=training.importance)
+        moments = stream_moments(btf, design, used, dtype, training.progress)
+        solved = solve_texels(btf, design, moments, used)
+    else:
+        solved = fit_texels(training, 3, lambda light, view: light).fit
     normal = safe.normalise(colour.luminance(solved.coefficients, dim=1))
     up = torch.zeros(3, 1, 1, dtype=dtype)
     up[2] = 1
@@ -159,8 +180,7 @@ def fit_lambert_on_relief(
     mean_value = known.mean_value if isinstance(known, LambertShared) else _mean_value(training)
     level = _EYE * mean_value
     for block in btf.blocks(None, dtype, training.progress):
-        light = btf.light[block.samples.start : block.samples.stop].to(dtype)
-        direct = (light @ normal).clamp_(min=0).reshape(-1, 1, *size) * surface.shadow(block.samples)
+        direct = _cosine(btf, block.samples, normal, dtype).reshape(-1, 1, *size) * surface.shadow(block.samples)
         weight = 1 / (block.images.mean(dim=1, keepdim=True) + level)
         weight = weight if block.weight is None else weight * block.weight
         weight = training.counted(weight, block.samples)
@@ -173,6 +193,14 @@ def fit_lambert_on_relief(
     maps = {"albedo": albedo, "height": height.to(dtype), "ambient": ambient}
     material = Lambert(maps, normals="height", storage=storage, tiles=training.tiles)
     return Fitted(material, coverage=lit, shared=LambertShared(mean_value=mean_value))
+
+
+def _cosine(btf: Btf, samples: range, normal: Tensor, dtype: torch.dtype) -> Tensor:
+    """Return max(0, n.l) of a run of samples for normals [3, t], [k, t]."""
+    if btf.near is None or btf.near.light is None:
+        return (btf.light[samples.start : samples.stop].to(dtype) @ normal).clamp_(min=0)
+    light = btf.directions(samples, dtype)[0].flatten(2)
+    return (light * normal).sum(dim=1).clamp_(min=0)
 
 
 def _mean_value(training: Training) -> float:
@@ -202,11 +230,16 @@ def _albedo(training: Training, normal: Tensor) -> Tensor:
     """Return the least-squares albedo [3, H, W] for value = albedo * max(0, n.l)."""
     btf, dtype = training.btf, training.dtype
     flat = normal.flatten(1)
-    light = torch.where(training.used[:, None], btf.light, torch.zeros(())).to(dtype)
+    used = training.used.to(dtype)
     numerator = torch.zeros(3, flat.shape[1], dtype=dtype)
     denominator = torch.zeros(flat.shape[1], dtype=dtype)
     for block in btf.blocks(training.used, dtype, training.progress):
-        shading = (light[block.samples.start : block.samples.stop] @ flat).clamp_(min=0)
+        rows = slice(block.samples.start, block.samples.stop)
+        if btf.near is None:
+            light = torch.where(training.used[rows, None], btf.light[rows], torch.zeros(())).to(dtype)
+            shading = (light @ flat).clamp_(min=0)
+        else:
+            shading = _cosine(btf, block.samples, flat, dtype) * used[rows, None]
         weighted = shading if block.weight is None else shading * block.weight[:, 0].flatten(1)
         weighted = training.counted(weighted, block.samples)
         # In place and plane by plane: einsum turns this into a product per texel, 50 times slower.
@@ -215,20 +248,20 @@ def _albedo(training: Training, normal: Tensor) -> Tensor:
     return safe.divide(numerator, denominator).unflatten(1, normal.shape[1:])
 
 
-TEXTURE = Recipe(Texture, fit_texture, bytes_per_texel="6", rungs=(
+TEXTURE = Recipe(Texture, fit_texture, near=True, bytes_per_texel="6", rungs=(
     Rung("constant", "texture", 0, {}, {"albedo": StoredAs((1, 1))}), Rung("texture", "texture", 3),
 ))
 LAMBERT = Recipe(
-    Lambert, fit_lambert, bytes_per_texel="12", on_relief=fit_lambert_on_relief, shared=LambertShared,
+    Lambert, fit_lambert, near=True, bytes_per_texel="12", on_relief=fit_lambert_on_relief, shared=LambertShared,
     rungs=(Rung("Lambert", "lambert", 6),),
 )
 # The automatic choice judges highlights too, which sums in linear light are nearer to; what steps makes errors of linear
 # light small, which codes of a screen bend.
 _LINEAR = {"space": LINEAR}
-PTM = Recipe(Ptm, fit_ptm, bytes_per_texel="36", stepping=_LINEAR, rungs=(Rung("PTM", "ptm", 18, _LINEAR),))
-LPTM = Recipe(Lptm, fit_lptm, bytes_per_texel="18", stepping=_LINEAR, rungs=(Rung("luminance PTM", "lptm", 9, _LINEAR),))
+PTM = Recipe(Ptm, fit_ptm, near=True, bytes_per_texel="36", stepping=_LINEAR, rungs=(Rung("PTM", "ptm", 18, _LINEAR),))
+LPTM = Recipe(Lptm, fit_lptm, near=True, bytes_per_texel="18", stepping=_LINEAR, rungs=(Rung("luminance PTM", "lptm", 9, _LINEAR),))
 HSH = Recipe(
-    Hsh, fit_hsh, bytes_per_texel="54", compared=tuple(f"terms={terms}" for terms in HSH_TERMS), stepping=_LINEAR,
+    Hsh, fit_hsh, near=True, bytes_per_texel="54", compared=tuple(f"terms={terms}" for terms in HSH_TERMS), stepping=_LINEAR,
     rungs=tuple(
         Rung(f"{terms} harmonics", "hsh", size, {"terms": terms, **_LINEAR}) for terms, size in ((4, 12), (9, 27))
     ),

@@ -30,7 +30,10 @@ _LOWEST_LIGHT = 0.1
 
 @dataclass(frozen=True)
 class Captured:
-    """Images to compare: `images` [n, 3, h, w], `weight` [n, 1, h, w], and `view_index` [n] into `view` [v, 3, 1, 1]."""
+    """Images to compare: `images` [n, 3, h, w], `weight` [n, 1, h, w], and `view_index` [n] into `view` [v, 3, 1, 1].
+
+    Of near cameras `view` is that of each texel, [v, 3, h, w].
+    """
 
     images: Tensor
     weight: Tensor
@@ -71,7 +74,7 @@ def capture(training: Training) -> Captured:
             image = functional.adaptive_avg_pool2d(image, size) / weight.clamp(min=1e-6)
         images.append(image)
         weights.append(weight)
-    view = btf.views[:, :, None, None].float()
+    view = btf.of_size(*size).view_planes(torch.arange(len(btf.views)), torch.float32)
     return Captured(torch.cat(images), torch.cat(weights), view, btf.view_index[rows], training.tiles)
 
 

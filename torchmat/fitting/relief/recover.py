@@ -19,24 +19,22 @@ from torch import Tensor
 
 from torchmat import frames
 from torchmat.btf import Btf
-from torchmat.btf.near import far_only
+from torchmat.btf.lambert import relief_of_one_view
 from torchmat.btf.tiling import decided
 from torchmat.errors import FitError, message
 from torchmat.fitting.fewer_texels import shrunk_mask
 from torchmat.fitting.relief.agreement import Agreement, Captured, agreement, capture, on_surface
 from torchmat.fitting.relief.refine import image_gradient, limited
 from torchmat.fitting.training import Training, make_training
-from torchmat.geometry import Relief, Stereo, photometric_stereo, poisson, slopes_from_normals
+from torchmat.geometry import Relief, poisson, slopes_from_normals
 from torchmat.geometry.normals import pad_border
 from torchmat.geometry.tiling import AUTO_TILES
-from torchmat.geometry.from_photographs import relief_from_stereo
 from torchmat.progress import Activity, progress, whole
 from torchmat.repeatable import one_thread, product
 from torchmat.solvers.clock import Watch
 from torchmat.solvers.stop_reasons import BUDGET, CONVERGED
 
 _FLATTEST_DEG = 45  # the view of photometric stereo may lean no further: texels of other views are not where it sees them
-_STEREO_VALUES = 32_000_000  # of photometric stereo at a time
 _FEWEST_VIEWS, _FEWEST_SAMPLES = 6, 24  # below, there is no parallax to speak of
 _WIDEST = 0.3  # and none if no view leans further than this (tangent of its polar angle)
 _GAIN = 0.98  # a relief must bring the disagreement of the images below this share of a flat surface's
@@ -162,7 +160,6 @@ def _in_time(captured: Captured, height: Tensor, watch: Watch, until: float) -> 
 
 def _stereo(training: Training) -> Relief:
     btf = training.btf
-    far_only("recovering the relief", btf.near)
     first = int(btf.view_index[training.used].min())  # views run from the pole outward
     polar = float(torch.rad2deg(frames.to_polar(btf.views[first].double())[0]))
     if polar > _FLATTEST_DEG:
@@ -171,19 +168,8 @@ def _stereo(training: Training) -> Relief:
         requirement = f"have a view within {_FLATTEST_DEG} degrees of the normal to recover its geometry"
         raise FitError(message("fit", "the data", requirement, fact, step))
     rows = (training.used & (btf.view_index == first)).nonzero()[:, 0]
-    light = btf.light[rows].to(training.dtype)
-    some = max(1, _STEREO_VALUES // (3 * len(rows) * btf.width))
     with one_thread():
-        bands = [btf.window(top, 0, min(some, btf.height - top), btf.width) for top in range(0, btf.height, some)]
-        found = [_stereo_of(band, rows, light) for band in bands]
-        stereo = Stereo(*(torch.cat(maps, dim=1) for maps in zip(*found, strict=True)))
-        return relief_from_stereo(stereo, training.tiles, mask=btf.mask)
-
-
-def _stereo_of(band: Btf, rows: Tensor, light: Tensor) -> Stereo:
-    """Return what some rows of texels show; where none of them shows the object their weights alone say so."""
-    mask = band.mask if band.mask is not None and bool(band.mask.any()) else None
-    return photometric_stereo(band.images(rows, light.dtype), light, band.weights(rows), mask)
+        return relief_of_one_view(btf, rows, training.dtype, training.tiles)
 
 
 def _has_parallax(training: Training) -> bool:

@@ -7,10 +7,10 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
-from torchmat.fitting.relief.surface import Surface
+from torchmat.fitting.relief.surface import Surface, ViewSlopes
 from torchmat.geometry import poisson
 from torchmat.geometry.normals import pad_border
-from torchmat.geometry.rays import look_up, ray_slope, texel_centres
+from torchmat.geometry.rays import look_up, texel_centres
 from torchmat.repeatable import one_thread
 
 _SLOPE_ERROR, _SLOPE_SHARE = 0.03, 0.1  # fitted normals are off by so much, steep ones by so much of their slope
@@ -47,19 +47,19 @@ def refine_height(
     source, btf = surface.source.btf, surface.training.btf
     tiles, dtype = surface.training.tiles, surface.training.dtype
     rows = surface.source.used.nonzero()[:, 0]
-    slope = ray_slope(source.views[:, :, None, None].to(dtype), btf.height, btf.width)
+    slopes_of_views = ViewSlopes(source, dtype)
     centres = texel_centres(btf.height, btf.width, dtype)
     curvature, pull = torch.zeros(1, btf.height, btf.width, dtype=dtype), torch.zeros(1, btf.height, btf.width, dtype=dtype)
     squares, count = torch.zeros_like(curvature), torch.zeros_like(curvature)
     for part in torch.arange(len(rows)).split(max(1, _BLOCK_VALUES // (3 * btf.height * btf.width))):
         run = slice(int(part[0]), int(part[-1]) + 1)
-        which = source.view_index[rows[part]]
+        slope = slopes_of_views.of(rows[part])
         gradient = image_gradient(source.images(rows[part], dtype), tiles)
-        across, up = look_up(gradient, centres - height * slope[which], tiles, "bicubic").split(3, dim=1)
+        across, up = look_up(gradient, centres - height * slope, tiles, "bicubic").split(3, dim=1)
         target, weight = surface.values(run)
         scale = steepness(target)
         residual = (target - predict(run)) * scale
-        change = -(across * slope[which, :1] + up * slope[which, 1:]) * scale
+        change = -(across * slope[:, :1] + up * slope[:, 1:]) * scale
         weight = weight / (1 + (residual / _OUTLYING) ** 2)
         curvature += (weight * change * change).sum(dim=(0, 1))
         pull -= (weight * change * residual).sum(dim=(0, 1))

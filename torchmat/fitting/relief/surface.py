@@ -20,6 +20,7 @@ from torch import Tensor
 
 from torchmat.btf import Btf
 from torchmat.btf.decode import Decoder
+from torchmat.btf.near import Near
 from torchmat.btf.store import CLIPPED, INVALID, VALID, summarise
 from torchmat.fitting.objective import shown, white_of
 from torchmat.fitting.relief.window import Window, surroundings
@@ -104,6 +105,31 @@ def _space(shape: tuple[int, ...], dtype: DTypeLike) -> np.ndarray:
         return np.memmap(file, dtype, "w+", shape=shape)
 
 
+class ViewSlopes:
+    """How far the rays of each sample's view move for each unit of height: the same for all texels, or each its own."""
+
+    def __init__(self, btf: Btf, dtype: torch.dtype) -> None:
+        self.btf, self.dtype = btf, dtype
+        self._known = None if btf.view_position is not None else self._of(btf.views[:, :, None, None].to(dtype))
+
+    def _of(self, view: Tensor) -> Tensor:
+        return ray_slope(view, self.btf.height, self.btf.width)
+
+    def of(self, rows: Tensor) -> Tensor:
+        """Return the slopes [k, 2, 1, 1], or [k, 2, H, W] of near cameras."""
+        if self._known is not None:
+            return self._known[self.btf.view_index[rows]]
+        return self._of(self.btf.directions(rows, self.dtype)[1])
+
+    @property
+    def steepest(self) -> tuple[float, float]:
+        """The largest along u and along v, which near cameras have in a corner."""
+        found = self._known
+        if found is None:
+            found = self._of(self.btf.corners().view_planes(torch.arange(len(self.btf.views)), self.dtype))
+        return float(found[:, 0].abs().max()), float(found[:, 1].abs().max())
+
+
 class Sight(NamedTuple):
     """What views and lights see of a height: `seen` bool [view, 1, H, W], `lit` [light, 1, H, W] in [0, 1]."""
 
@@ -126,10 +152,11 @@ def look_along(training: Training, height: Tensor) -> Sight:
     def by_texel(found: Tensor) -> Tensor:
         return functional.avg_pool2d(found.to(dtype), FACTOR) if fine else found.to(dtype)
 
-    for found, view in zip(seen.split(some), btf.views[:, :, None, None].to(dtype).split(some), strict=True):
-        found.copy_(by_texel(visible(height, view, tiles=training.tiles)) > _SEEN)
-    for found, light in zip(lit.split(some), btf.lights[:, :, None, None].to(dtype).split(some), strict=True):
-        found.copy_(by_texel(soft_shadow(height, light, tiles=training.tiles)))
+    placed = btf.of_size(height.shape[-2], height.shape[-1])
+    for found, views in zip(seen.split(some), torch.arange(len(seen)).split(some), strict=True):
+        found.copy_(by_texel(visible(height, placed.view_planes(views, dtype), tiles=training.tiles)) > _SEEN)
+    for found, lights in zip(lit.split(some), torch.arange(len(lit)).split(some), strict=True):
+        found.copy_(by_texel(soft_shadow(height, placed.light_planes(lights, dtype), tiles=training.tiles)))
     return Sight(seen, lit)
 
 
@@ -158,7 +185,8 @@ def bring_onto(
     # Lights are sorted as in the source, but those without a training sample are gone.
     lit = here.crop(sight.lit)[btf.light_index[rows].unique()]
     source = training if window is None else replace(training, btf=window.of(btf))
-    return Surface(source, _on_surface(source, pixels, flags, rows), pixels, flags, lit, slopes, window)
+    raised = None if btf.near is None else source.btf.near and source.btf.near.raised(here.crop(height) * (btf.width / here.width))
+    return Surface(source, _on_surface(source, pixels, flags, rows, raised), pixels, flags, lit, slopes, window)
 
 
 def _resample(
@@ -167,15 +195,16 @@ def _resample(
 ) -> None:
     """Write samples `rows` at the window's texels on the surface into `pixels` and `flags`."""
     btf, dtype = training.btf, training.dtype
-    slope = ray_slope(btf.views[:, :, None, None].to(dtype), btf.height, btf.width)
-    across, up = (float(height.abs().max() * part.abs().max()) for part in slope.unbind(1))
+    slopes = ViewSlopes(btf if btf.near is None else btf.with_near(btf.near.raised(height)), dtype)
+    across, up = (float(height.abs().max() * steepest) for steepest in slopes.steepest)
     around = surroundings(btf, window, (up * btf.height, across * btf.width), training.tiles)
     centres, raised = window.crop(texel_centres(btf.height, btf.width, dtype)), window.crop(height)
     outside = torch.zeros(()).bool() if btf.mask is None else ~window.crop(btf.mask)
     parts = torch.arange(len(rows)).split(max(1, BLOCK // (3 * math.prod(around.size))))
     for part in progress(parts, "onto the surface", show=training.progress):
         which = btf.view_index[rows[part]]
-        position = around.place(centres - raised * slope[which])
+        slope = slopes.of(rows[part])
+        position = around.place(centres - raised * (slope if slope.shape[-2:] == (1, 1) else window.crop(slope)))
         first, last = int(part[0]), int(part[-1]) + 1
         valid = around.valid(rows[part])
         # Bicubic: what is interpolated here is interpolated again when the surface is seen, and blur adds up.
@@ -186,11 +215,14 @@ def _resample(
         flags[first:last] = torch.where(hidden, INVALID, torch.where(clipped, CLIPPED, 0))[:, 0].numpy()
 
 
-def _on_surface(training: Training, pixels: np.ndarray, flags: np.ndarray, rows: Tensor) -> Training:
+def _on_surface(training: Training, pixels: np.ndarray, flags: np.ndarray, rows: Tensor, near: Near | None) -> Training:
     source = training.btf
     decoder = Decoder(pixels.dtype, "linear", 1.0)
     light, view = source.light[rows], source.view[rows]
-    btf = Btf(summarise(pixels, flags), light, view, decoder, source.source, source.clipped_weight, mask=source.mask)
+    near = None if near is None else replace(near.picked(rows), falloff=False)  # which is out of the samples already
+    btf = Btf(
+        summarise(pixels, flags), light, view, decoder, source.source, source.clipped_weight, mask=source.mask, near=near
+    )
     importance = None if training.importance is None else training.importance[rows]
     return replace(training, btf=btf, used=torch.ones(len(btf), dtype=torch.bool), importance=importance)
 
@@ -241,5 +273,5 @@ def without_shadow(surface: Surface, ambient: Tensor) -> Training:
         flags[rows] = np.where((lit[:, 0] < _LIT).numpy(), INVALID, surface.flags[rows])
     store = summarise(pixels, flags)
     decoder = Decoder(pixels.dtype, "linear", 1.0)
-    bare = Btf(store, btf.light, btf.view, decoder, btf.source, btf.clipped_weight, mask=btf.mask)
+    bare = Btf(store, btf.light, btf.view, decoder, btf.source, btf.clipped_weight, mask=btf.mask, near=btf.near)
     return replace(surface.training, btf=bare)

@@ -233,7 +233,7 @@ class DistributionFit:
 
     def predict(self, raw: dict[str, Tensor], parts: Parts, surface: Surface, rows: Tensor) -> Tensor:
         btf, dtype = surface.training.btf, surface.training.dtype
-        light, view = (d[rows][:, :, None, None].to(dtype) for d in (btf.light, btf.view))
+        light, view = btf.directions(rows, dtype)
         maps = maps_of(raw | self.known)
         ambient, exponent = maps.pop("ambient"), maps.pop(EXPONENT, None)
         if "normal" not in maps and self.height is not None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -201,14 +202,22 @@ def anisotropy(surface: Surface, mean: Tensor, slopes: Tensor) -> dict[str, Tens
     level = colour.luminance(mean).flatten()
     for run in sample_runs(btf):
         values, valid = surface.values(run)
-        half = half_vector(btf.light[run].to(dtype), btf.view[run].to(dtype), dim=-1)
-        along = (half @ frame).unflatten(1, (3, -1)).unbind(1)
+        along = _along(btf, run, frame)
         u, v = (safe.divide(axis, 1 + along[2].clamp(min=0)) for axis in along[:2])
         excess = (colour.luminance(values, dim=1).flatten(1) - level).clamp(min=0) * valid[:, 0].flatten(1)
         terms = (torch.ones_like(u), u, v, u * u - v * v, 2 * u * v, u * u + v * v)
         sums += torch.stack([(excess * term).sum(dim=0) for term in terms])
     with one_thread():
         return _moments(sums, level, mean, len(btf))
+
+
+def _along(btf: Btf, run: slice, frame: Tensor) -> Sequence[Tensor]:
+    """Return the half vectors of samples along the three rows of frames [3, 3 x texels], [k, texels] each."""
+    if btf.near is None:
+        half = half_vector(btf.light[run].to(frame.dtype), btf.view[run].to(frame.dtype), dim=-1)
+        return (half @ frame).unflatten(1, (3, -1)).unbind(1)
+    half = half_vector(*btf.directions(range(run.start, run.stop), frame.dtype)).flatten(2)
+    return [(half * axis).sum(dim=1) for axis in frame.unflatten(1, (3, -1)).unbind(1)]
 
 
 def _moments(sums: Tensor, level: Tensor, mean: Tensor, samples: int) -> dict[str, Tensor]:

@@ -43,7 +43,7 @@ _LADDER = Ladder(
 )
 DISTRIBUTION = Recipe(
     Distribution, fit_distribution, bytes_per_texel="7 to 18", solvers=("minibatch", "adam", "lbfgs"), solvers_differ=True,
-    objective=DISPLAY, ladder=_LADDER, on_relief=fit_distribution_on_relief,
+    objective=DISPLAY, ladder=_LADDER, on_relief=fit_distribution_on_relief, near=True,
     # What a relief is worth shows long before the last step.
     quick={"lobes": 1, "fresnel": True, "rotation": True, "effort": 0.1},
     shared=DistributionShared, geometry=RECOVER,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from torchmat.btf.lambert import lights_of
 from torchmat.fitting.models.distribution.parameters import anisotropy, sample_runs
 from torchmat.fitting.relief.surface import Surface
 from torchmat.geometry import photometric_stereo, slopes_from_normals
@@ -36,5 +37,5 @@ def _start_slopes(surface: Surface) -> Tensor:
     if len(rows) < 6 or float(spread[0]) < 1e-2 * float(spread[-1]):
         return surface.slopes
     with one_thread():
-        found = photometric_stereo(btf.images(rows, dtype), light, btf.weights(rows))
+        found = photometric_stereo(btf.images(rows, dtype), lights_of(btf, rows, dtype), btf.weights(rows))
     return torch.where(found.confidence > 0, slopes_from_normals(found.normal), surface.slopes)

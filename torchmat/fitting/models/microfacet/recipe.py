@@ -35,7 +35,7 @@ _LADDER = Ladder(
 )
 MICROFACET = Recipe(
     Microfacet, fit_microfacet, bytes_per_texel="10 to 24", solvers=("minibatch", "adam", "lbfgs"), solvers_differ=False,
-    objective=DISPLAY, ladder=_LADDER, on_relief=fit_microfacet_on_relief,
+    objective=DISPLAY, ladder=_LADDER, on_relief=fit_microfacet_on_relief, near=True,
     quick={**dict.fromkeys(OPTIONAL, False), "effort": 0.06}, geometry=RECOVER,
     tiling=Tiling(refused=_REFUSED),
 )

@@ -82,7 +82,7 @@ def _sums(surface: Surface, level: float, frame: Tensor, ambient: Tensor, pairs:
     unseen = _UNSEEN**2 + _FEW**2 / len(rows)
     for some in rows.split(max(1, _VALUES // (3 * btf.height * btf.width))):
         values, weight = surface.values(some)
-        light, view = (d[some][:, :, None, None].to(dtype) for d in (btf.light, btf.view))
+        light, view = btf.directions(some, dtype)
         total = light + view
         squared = (total * total).sum(dim=1, keepdim=True).clamp(min=1e-12)
         rise = schlick_rise((1 - squared.sqrt() / 2).clamp(min=0))
