@@ -48,11 +48,15 @@ def look_up(maps: Tensor, uv: Tensor, tiles: bool = True, mode: str = "bilinear"
 
     `mode` is that of `grid_sample`: bilinear, bicubic or nearest.
     """
-    rows, columns = maps.shape[-2:]
+    border = (2 if mode == "bicubic" else 1) if tiles else 0
+    return _sampled(pad_border(maps, True, border) if tiles else maps, uv, border, mode)
+
+
+def _sampled(maps: Tensor, uv: Tensor, border: int, mode: str) -> Tensor:
+    """Look `maps` up that have a `border` of what repeats, or none where the border texel goes on."""
     u, v = uv[:, 0], 1 - uv[:, 1]
-    if tiles:
-        border = 2 if mode == "bicubic" else 1
-        maps = pad_border(maps, True, border)
+    if border:
+        rows, columns = maps.shape[-2] - 2 * border, maps.shape[-1] - 2 * border
         u = ((u % 1) * columns + border) / (columns + 2 * border)
         v = ((v % 1) * rows + border) / (rows + 2 * border)
     grid = torch.stack((u * 2 - 1, v * 2 - 1), dim=-1)
@@ -69,6 +73,9 @@ class _Field:
 
     def __init__(self, height: Tensor, uv: Tensor, slope: Tensor, tiles: bool, centres: bool, span: float) -> None:
         self.map, self.uv, self.slope, self.tiles = height[None], uv, slope, tiles
+        # What a walk asks over and over is bordered once.
+        self._border = 1 if tiles else 0
+        self._bordered = pad_border(self.map, True) if tiles else self.map
         rows, columns = height.shape[-2:]
         # A shift is a whole number of texels and a blend, both plain floats: no gradient would reach the direction.
         large = rows * columns >= SHIFT_TEXELS
@@ -81,7 +88,7 @@ class _Field:
 
     def at(self, z: Tensor) -> Tensor:
         """Return the surface at uv + z slope, [N, 1, h, w], for a height per pixel."""
-        return look_up(self.map, self.uv + z * self.slope, self.tiles)
+        return _sampled(self._bordered, self.uv + z * self.slope, self._border, "bilinear")
 
     def along(self, z: Tensor) -> Tensor:
         """Return the same for one height per direction [N, 1, 1 or h, 1 or w]; |z| at most the span given."""
@@ -189,6 +196,8 @@ def _first_root(field: _Field, low: float, high: float) -> Tensor:
         above, below = torch.where(new, last, above), torch.where(new, z, below)
         gap_above, gap_below = torch.where(new, gap_last, gap_above), torch.where(new, here, gap_below)
         found |= new
+        if bool(found.all()):
+            break
         last, gap_last = z, here
     for _ in range(REFINEMENTS):
         z = torch.lerp(above, below, safe.divide(gap_above, gap_above - gap_below).clamp(0, 1))
