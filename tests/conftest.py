@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 
 import pytest
 import torch
@@ -11,10 +12,22 @@ from tests.support import all_pairs, hemisphere, plausible_images
 from torchmat import Btf
 
 
+@pytest.fixture(scope="session")
+def caches(tmp_path_factory):
+    """Return one place after the other, none of which exists yet, for the caches of tests that write no files."""
+    room = tmp_path_factory.mktemp("caches")
+    return (room / str(number) for number in itertools.count())
+
+
 @pytest.fixture(autouse=True)
-def own_cache(tmp_path, monkeypatch):
-    """Keep decoded images away from the user's cache folder."""
-    monkeypatch.setenv("TORCHMAT_CACHE", str(tmp_path / "torchmat-cache"))
+def own_cache(request, caches, monkeypatch):
+    """Keep decoded images away from the user's cache folder.
+
+    Most tests never decode one: a folder is made for those alone that ask for one.
+    """
+    asked = "tmp_path" in request.fixturenames
+    place = request.getfixturevalue("tmp_path") / "torchmat-cache" if asked else next(caches)
+    monkeypatch.setenv("TORCHMAT_CACHE", str(place))
 
 
 @pytest.fixture(autouse=True)
@@ -23,8 +36,18 @@ def seeded():
     torch.manual_seed(0)
 
 
+@pytest.fixture(scope="session")
+def small_network():
+    """Return the recipe of the network that a choice tries last, with a few steps."""
+    from torchmat.fitting.recipe import RECIPES
+
+    network = RECIPES["neural"]
+    rungs = tuple(dataclasses.replace(rung, options={**rung.options, "effort": 0.004}) for rung in network.rungs)
+    return dataclasses.replace(network, rungs=rungs)
+
+
 @pytest.fixture(autouse=True)
-def hurried(request, monkeypatch):
+def hurried(request, monkeypatch, small_network):
     """Let what ends a fit take a few steps, and the network that a choice tries last: hardly a test is about either.
 
     The tests of the finish itself take all of its steps.
@@ -37,9 +60,7 @@ def hurried(request, monkeypatch):
         return
     monkeypatch.setattr(finish, "_STEPS", 10)
     monkeypatch.setattr(form_factors, "DIRECTIONS", 24)
-    network = RECIPES["neural"]
-    rungs = tuple(dataclasses.replace(rung, options={**rung.options, "effort": 0.004}) for rung in network.rungs)
-    monkeypatch.setitem(RECIPES, "neural", dataclasses.replace(network, rungs=rungs))
+    monkeypatch.setitem(RECIPES, "neural", small_network)
 
 
 @pytest.fixture(params=[torch.float32, torch.float64], ids=["float32", "float64"])
