@@ -268,13 +268,13 @@ def test_from_straight_above_and_fully_lit_nothing_moves(name, options):
 
 @every_model
 def test_a_broadcast_is_what_each_pair_gives(name, options):
-    material = on_waves(name, options, 3, 4)
-    light = per_image(directions(4, seed=1))[:, None]
-    view = per_image(directions(5, seed=2))[None]
+    material = on_waves(name, options, 3, 4).requires_grad_(False)
+    light = per_image(directions(2, seed=1))[:, None]
+    view = per_image(directions(3, seed=2))[None]
     together = material.shade(light, view)
-    assert together.shape == (4, 5, 3, 3, 4)
-    for i in range(4):
-        for j in range(5):
+    assert together.shape == (2, 3, 3, 3, 4)
+    for i in range(2):
+        for j in range(3):
             assert_same(together[i, j], material.shade(light[i, 0], view[0, j]), 1e-12)
 
 
@@ -321,16 +321,16 @@ def test_no_directions_and_no_points_give_empty_pictures():
 
 @every_model
 @pytest.mark.parametrize("which", ["light", "view"])
-@pytest.mark.parametrize("z", [0.0, -0.0, -1e-30, -0.5])
-def test_below_the_horizon_is_exactly_zero(name, options, dtype, which, z):
+def test_below_the_horizon_is_exactly_zero(name, options, dtype, which):
     material = on_waves(name, options, 2, 3, dtype)
-    low = torch.tensor([(1 - z * z) ** 0.5, 0.0, z], dtype=dtype)[:, None, None].requires_grad_()
+    rows = [((1 - z * z) ** 0.5, 0.0, z) for z in (0.0, -0.0, -1e-30, -0.5)]
+    low = torch.tensor(rows, dtype=dtype)[:, :, None, None].requires_grad_()
     high = per_image(directions(1, dtype))[0].requires_grad_()
     pair = (low, high) if which == "light" else (high, low)
     uv = torch.rand(2, 2, 3, dtype=dtype)
     for value in (material.shade(*pair), material.shade_at(uv, *pair)):
-        assert bool((value == 0).all())
-        value.sum().backward()
+        assert value.shape == (4, 3, 2, 3) and bool((value == 0).all())
+        (value * torch.rand_like(value)).sum().backward()  # random weights: what two of them leave cannot cancel
         for leaf in (low, high, *material.maps.values()):
             assert leaf.grad is None or bool((leaf.grad == 0).all())
 
