@@ -14,4 +14,7 @@ cd "$root"
 export OMP_NUM_THREADS=1
 # Tests of two threads share the cores with the other process: threads that spin while they wait would take its time.
 export GOMP_SPINCOUNT=1000
+# Both processes, and the children that tests start, share what was compiled once.
+unset PYTHONDONTWRITEBYTECODE
+"$root/.venv/bin/python" -m compileall -q torchmat
 exec "$root/.venv/bin/python" -m pytest -n 2 "$@"
