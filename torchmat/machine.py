@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import functools
 import gc
 import platform
 import resource
@@ -64,6 +65,7 @@ class MemoryMark:
         return None if self._held is None or peak is None else max(0.0, peak - self._held)
 
 
+@functools.cache  # reading a package's description takes milliseconds, and every report names six
 def package_version(package: str = "torchmat") -> str:
     """Return the installed version of a package, or "unknown"."""
     try:
