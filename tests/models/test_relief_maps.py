@@ -370,7 +370,7 @@ def test_at_grazing_directions_float32_agrees_with_float64_values_reach_a_limit_
 @pytest.fixture
 def exact_roots(monkeypatch):
     """Refine hits to the last bit, so that a difference of two values is not a difference of two rounding errors."""
-    monkeypatch.setattr(rays, "REFINEMENTS", 80)
+    monkeypatch.setattr(rays, "REFINEMENTS", 40)
 
 
 def _floats(material) -> list[str]:
