@@ -31,6 +31,14 @@ def smooth_height(rows: int, columns: int, seed: int = 0, amplitude: float = 0.0
     return torch.from_numpy(amplitude * total + 0.01)[None]
 
 
+@pytest.mark.parametrize("tiles", [True, False])
+def test_the_oracle_finds_the_same_at_many_places_as_one_by_one(tiles):
+    height = smooth_height(5, 7)[0].numpy()
+    u, v = np.random.default_rng(2).uniform(-1.5, 2.5, (2, 200))
+    one_by_one = [oracle.bilinear(height, *place, tiles) for place in zip(u.tolist(), v.tolist(), strict=True)]
+    assert np.array_equal(oracle.bilinear_along(height, u, v, tiles), one_by_one)
+
+
 VIEWS = [(0.0, 0.0, 1.0), (0.5, 0.2, 0.8), (-0.9, 0.3, 0.6), (0.3, -0.95, 0.35)]
 
 

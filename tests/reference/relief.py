@@ -1,4 +1,4 @@
-"""Slow float64 oracles of the geometry room: plain loops over texels, sharing no code with the package."""
+"""Slow float64 oracles of the geometry room: plain loops over texels, all steps of a ray at once, sharing no code with the package."""
 
 from __future__ import annotations
 
@@ -23,6 +23,21 @@ def bilinear(height: np.ndarray, u: float, v: float, tiles: bool) -> float:
 
     upper = texel(top, left) * (1 - fx) + texel(top, left + 1) * fx
     lower = texel(top + 1, left) * (1 - fx) + texel(top + 1, left + 1) * fx
+    return upper * (1 - fy) + lower * fy
+
+
+def bilinear_along(height: np.ndarray, u: np.ndarray, v: np.ndarray, tiles: bool) -> np.ndarray:
+    """Return what `bilinear` does at many places, [n] each."""
+    rows, columns = height.shape
+    x, y = u * columns - 0.5, (1 - v) * rows - 0.5
+    if not tiles:
+        x, y = np.clip(x, 0.0, columns - 1.0), np.clip(y, 0.0, rows - 1.0)
+    left, top = np.floor(x).astype(int), np.floor(y).astype(int)
+    fx, fy = x - left, y - top
+    above, below = (r % rows if tiles else np.minimum(r, rows - 1) for r in (top, top + 1))
+    near, far = (c % columns if tiles else np.minimum(c, columns - 1) for c in (left, left + 1))
+    upper = height[above, near] * (1 - fx) + height[above, far] * fx
+    lower = height[below, near] * (1 - fx) + height[below, far] * fx
     return upper * (1 - fy) + lower * fy
 
 
@@ -69,12 +84,10 @@ def first_hit(height: np.ndarray, view: np.ndarray, u: float, v: float, tiles: b
     def gap(z: float) -> float:
         return bilinear(height, u + z * du, v + z * dv, tiles) - z
 
-    above = high
-    for step in range(steps + 1):
-        below = high - (high - low) * step / steps
-        if gap(below) >= 0:
-            break
-        above = below
+    heights = high - (high - low) * np.arange(steps + 1) / steps
+    met = bilinear_along(height, u + heights * du, v + heights * dv, tiles) >= heights
+    first = int(met.argmax()) if met.any() else steps
+    above, below = float(heights[max(first - 1, 0)]), float(heights[first])
     for _ in range(60):
         middle = (above + below) / 2
         above, below = (middle, below) if gap(middle) < 0 else (above, middle)
@@ -86,12 +99,9 @@ def least_clearance(height: np.ndarray, direction: np.ndarray, u: float, v: floa
     du, dv = slope_of(direction, height.shape)
     run = math.hypot(du, dv)
     start, span = bilinear(height, u, v, tiles), float(height.max() - height.min())
-    least = 1 / run
-    for step in range(1, steps + 1):
-        z = span * step / steps
-        surface = bilinear(height, u + z * du, v + z * dv, tiles)
-        least = min(least, (start + z - surface) / (z * run))
-    return least
+    z = span * np.arange(1, steps + 1) / steps
+    surface = bilinear_along(height, u + z * du, v + z * dv, tiles)
+    return min(1 / run, float(((start + z - surface) / (z * run)).min()))
 
 
 def sobel(height: np.ndarray, tiles: bool) -> np.ndarray:
