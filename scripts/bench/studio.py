@@ -194,6 +194,7 @@ def main() -> None:
                 page.evaluate("window.torchmat.viewer.setMesh('quad')")
                 page.evaluate(WATCH)
                 time.sleep(5)
+                saves(page, folder, "in place", 1)  # torch is loaded, and the folder is followed
                 if "saves" in given.only:
                     for way in ("in place", "by rename"):
                         found[f"save_ms {way}"] = spread(saves(page, folder, way, given.saves))

@@ -107,6 +107,38 @@ def test_nine_views_are_shade_at_their_pairs_and_their_marks_lead_back(chromium,
         assert page.problems == []
 
 
+def test_the_picture_of_a_save_comes_before_small_pictures_and_those_that_nobody_sees_wait(chromium, tmp_path):
+    folder = wool(tmp_path / "wool")
+    path = folder / "diffuse.png"
+    with served(folder) as studio:
+        page = opened(chromium, studio, width=1000, height=900)
+        until(page, "() => document.querySelector('.tmv-thumb canvas') && document.querySelector('.tms-select:not(.tms-marks) canvas')")
+        page.evaluate("""() => {
+          const { viewer, nine } = window.torchmat;
+          const titles = [...document.querySelectorAll('summary')];
+          titles.forEach((one) => { one.parentElement.open = one.textContent === 'Maps'; });
+          window.order = [];
+          viewer.on("maps", (name) => { window.order = [name]; });
+          viewer.on("frame", () => window.order.push("picture"));
+          const told = (what) => (found) => { if (found.some((one) => one.addedNodes.length)) window.order.push(what); };
+          document.querySelectorAll('.tmv-thumb').forEach((one) => new MutationObserver(told("small")).observe(one, { childList: true }));
+          new MutationObserver(told("selection")).observe(document.querySelector('.tms-select:not(.tms-marks)'), { childList: true });
+          nine.draw = () => window.order.push("nine");
+        }""")
+        write_image(path, 255 - read_image(path))
+        until(page, "() => window.order.includes('small')")
+        order = page.evaluate("window.order")
+        assert order[:2] == ["diffuse", "picture"] and not {"selection", "nine"} & set(order)
+        open_panel(page, "Rotation: draw 360")
+        page.evaluate("document.querySelector('.tms-select:not(.tms-marks)').scrollIntoView()")
+        until(page, "() => window.order.includes('selection')")
+        open_panel(page, "Nine views")
+        until(page, "() => window.order.includes('nine')")
+        shown = """() => { const { data } = document.querySelector('.tms-select:not(.tms-marks) canvas').getContext('2d').getImageData(0, 0, 4, 4); return [...data]; }"""
+        assert np.abs(np.array(page.evaluate(shown)).reshape(4, 4, 4)[..., :3] - read_image(path)[:4, :4]).max() <= 1
+        assert page.problems == []
+
+
 def test_expand_hides_and_brings_back_the_nine_views_and_nothing_else(chromium, tmp_path):
     with served(wool(tmp_path / "wool")) as studio:
         page = opened(chromium, studio, width=900, height=500)

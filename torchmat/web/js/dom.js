@@ -1,5 +1,7 @@
 // Elements of a page by their tag, attributes and children.
 
+const MOMENT = 120; // milliseconds in which the picture of a change is sent off
+
 /**
  * @param {string} tag such as "div", or "input"
  * @param {Record<string, any>} [attributes] `on...` are listeners, `class` and others attributes; null ones are left out
@@ -23,6 +25,33 @@ let count = 0;
 export function freshId() {
   count += 1;
   return `tmv-${count}`;
+}
+
+/**
+ * Put off what only those notice who see an element: until it is in sight, and until a moment after it was asked for, so that the
+ * picture itself comes first.
+ * @param {HTMLElement} made
+ * @param {() => void} act
+ * @returns {() => void} asks for it; what was asked for several times happens once
+ */
+export function whenSeen(made, act) {
+  let [due, seen, timer] = [false, false, 0];
+  const later = () => {
+    clearTimeout(timer);
+    timer = setTimeout(() => {
+      if (!due || !seen) return;
+      due = false;
+      act();
+    }, MOMENT);
+  };
+  new IntersectionObserver((news) => {
+    seen = news.at(-1).isIntersecting;
+    if (due) later();
+  }).observe(made);
+  return () => {
+    due = true;
+    later();
+  };
 }
 
 /**

@@ -25,10 +25,11 @@ export class Pace {
     this.gl = gl;
     this.rested = rested;
     this.live = live;
-    this.resting = RESTING; // milliseconds that a picture at rest may take for now
-    this.whole = 6 * MOVING; // milliseconds of a picture in full: a guess until the first was timed
+    this.resting = live ? FINER : RESTING; // milliseconds that a picture at rest may take for now
+    // Milliseconds of a picture in full: a guess until the first was timed; where saves come in, that it is as slow as can be.
+    this.whole = live ? LIVE / LEAST ** 2 : 6 * MOVING;
     this.moving = false;
-    this.timed = false;
+    this.pictures = 0; // that were drawn
     this.sync = null;
     this.sentShare = 0;
     this.timers = {};
@@ -74,9 +75,10 @@ export class Pace {
     const late = performance.now() - this.sentAt;
     if (gl.clientWaitSync(sync, 0, 0) === gl.TIMEOUT_EXPIRED && late < LONGEST) return true;
     this.forget();
-    // The first picture waits for its shader: that says nothing of those to come.
-    if (this.timed) this.whole = Math.max(1, (this.whole + late / this.sentShare ** 2) / 2);
-    this.timed = true;
+    // The first picture waits for its shader: that says nothing of those to come. The second ends the guess.
+    const found = Math.max(1, late / this.sentShare ** 2);
+    if (this.pictures > 0) this.whole = this.pictures > 1 ? (this.whole + found) / 2 : found;
+    this.pictures += 1;
     if (!this.moving && this.coarse) this.rested();
     return false;
   }

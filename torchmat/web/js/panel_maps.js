@@ -1,6 +1,6 @@
 // The maps of the material: a small picture each, what it is, and its range.
 
-import { element } from "./dom.js";
+import { element, whenSeen } from "./dom.js";
 import { thumbnail } from "./thumbnails.js";
 
 const number = (value) => String(Number(value.toPrecision(3)));
@@ -32,7 +32,16 @@ export function mapsPanel(viewer) {
     // Small pictures are made after the first large one, which is what one waits for.
     setTimeout(() => [...pictures.keys()].forEach(paint), 0);
   };
-  viewer.on("maps", (name) => (name && pictures.has(name) ? paint(name) : fill()));
+  const changed = new Set();
+  const repaint = whenSeen(list, () => {
+    changed.forEach(paint);
+    changed.clear();
+  });
+  viewer.on("maps", (name) => {
+    if (!name || !pictures.has(name)) return fill();
+    changed.add(name);
+    return repaint();
+  });
   fill();
   return list;
 }

@@ -1,6 +1,6 @@
 // Draw 360: a rotation that runs round the middle of a selection, or round a place that was pressed.
 
-import { element } from "./dom.js";
+import { element, whenSeen } from "./dom.js";
 import { thumbnail } from "./thumbnails.js";
 
 const SIDE = 260;
@@ -64,7 +64,8 @@ export function rotationPanel(viewer, edits) {
   const all = element("button", { type: "button", onclick: () => {
     [region, centre, box.hidden] = [null, null, true];
   } }, "Select all");
-  viewer.on("maps", (name) => (!name || name === "diffuse" ? paint() : null));
+  const repaint = whenSeen(frame, paint);
+  viewer.on("maps", (name) => (!name || name === "diffuse" ? repaint() : null));
   paint();
   const words = "Drag a selection, about whose middle the rotation runs, or press a centre.";
   return element("div", {}, frame, element("div", { class: "tmv-buttons" }, draw, all), element("p", { class: "tms-caption" }, words));

@@ -5,7 +5,7 @@ import { encoded } from "./scene.js";
 
 const SIDE = 64;
 const MOST_ACROSS = 3; // layers side by side
-const SAMPLES = 3; // along each side of a pixel
+const SAMPLES = 3; // along each side of a pixel, at most
 
 /**
  * Return a picture of a map as one sees it in a paint program: colours encoded, normals as colours, rotations as hues, all else from
@@ -28,10 +28,12 @@ export function thumbnail(entry, buffer, side = SIDE) {
   const pixels = new ImageData(canvas.width, canvas.height);
   const read = reader(entry, buffer);
   const shown = transfer === "hue" ? (at) => [0, 1, 2].map((channel) => read(0, channel, at)) : painter(entry, read);
+  const downs = Array.from({ length: rows }, (_, y) => places(y, rows, height));
+  const acrosses = Array.from({ length: columns }, (_, x) => places(x, columns, width));
   for (let layer = 0; layer < layers; layer += 1) {
     for (let y = 0; y < rows; y += 1) {
       for (let x = 0; x < columns; x += 1) {
-        const colour = meanOf(places(y, rows, height), places(x, columns, width), (row, column) => shown(row * width + column, layer));
+        const colour = meanOf(downs[y], acrosses[x], (row, column) => shown(row * width + column, layer));
         const at = (Math.floor(layer / across) * rows + y) * canvas.width + (layer % across) * columns + x;
         pixels.data.set([...colour.map((one) => 255 * one + 0.5), 255], 4 * at);
       }
@@ -68,11 +70,12 @@ function hue(angle) {
 }
 
 function places(pixel, pixels, texels) {
-  return Array.from({ length: SAMPLES }, (_, k) => Math.floor((pixel + (k + 0.5) / SAMPLES) * texels / pixels));
+  const samples = Math.min(SAMPLES, Math.max(1, Math.ceil(texels / pixels)));
+  return Array.from({ length: samples }, (_, k) => Math.floor((pixel + (k + 0.5) / samples) * texels / pixels));
 }
 
 function meanOf(rows, columns, shown) {
   const sum = [0, 0, 0];
-  for (const row of rows) for (const column of columns) shown(row, column).forEach((one, k) => { sum[k] += one / (SAMPLES * SAMPLES); });
-  return sum;
+  for (const row of rows) for (const column of columns) shown(row, column).forEach((one, k) => { sum[k] += one; });
+  return sum.map((one) => one / (rows.length * columns.length));
 }
