@@ -13,11 +13,13 @@ if TYPE_CHECKING:
     from torchmat.btf.interpolated import RawBtf
     from torchmat.errors import DataError, FitError, RangeError, ShapeError, TorchmatError
     from torchmat.fitting import FitConfig, Recipe, describe_model, describe_models, load_config, recover_geometry, register
+    from torchmat.fitting.certainty.estimate import uncertainty
     from torchmat.fitting.evaluate import evaluate
     from torchmat.fitting.fit import FitResult, fit
     from torchmat.fitting.refit import refit
     from torchmat.material_io import Exporter, Losses, export, load_material, pack, register_exporter, save_material
     from torchmat.models import Material
+    from torchmat.models.uncertainty import Uncertainty
     from torchmat.rendering import Camera, Directional, Point, Scene, environment_lights
     from torchmat.rendering.render import render
     from torchmat.report import compare
@@ -36,8 +38,10 @@ _NAMES = {
         "FitConfig", "FitResult", "Recipe", "describe_model", "describe_models", "evaluate", "fit", "load_config",
         "recover_geometry", "refit", "register",
     ),
+    "fitting.certainty.estimate": ("uncertainty",),
     "material_io": ("Exporter", "Losses", "export", "load_material", "pack", "register_exporter", "save_material"),
     "models": ("Material",),
+    "models.uncertainty": ("Uncertainty",),
     "rendering": ("Camera", "Directional", "Point", "Scene", "environment_lights", "render"),
     "report": ("compare",),
     "sample": ("sample_path", "sample_truth"),
@@ -49,10 +53,10 @@ _PLACES = {name: place for place, names in _NAMES.items() for name in names}
 __all__ = [
     "LBFGS", "Adam", "Brdf", "Btf", "Camera", "ClosedForm", "DataError", "Directional", "Exporter", "FitConfig",
     "FitError", "FitResult", "LevenbergMarquardt", "Losses", "Material", "Minibatch", "Point", "RangeError", "RawBtf",
-    "Reader", "Recipe", "Scene", "ShapeError", "TorchmatError", "VariableProjection", "compare", "describe_model",
+    "Reader", "Recipe", "Scene", "ShapeError", "TorchmatError", "Uncertainty", "VariableProjection", "compare", "describe_model",
     "describe_models", "environment_lights", "evaluate", "export", "fit", "load_brdf", "load_btf", "load_config",
     "load_material", "open_studio", "pack", "recover_geometry", "refit", "register", "register_exporter", "register_reader", "render",
-    "sample_path", "sample_truth", "save_material", "split_samples",
+    "sample_path", "sample_truth", "save_material", "split_samples", "uncertainty",
 ]
 
 

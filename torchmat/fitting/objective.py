@@ -81,6 +81,16 @@ class Objective:
         return found.square()
 
 
+    def residuals(self, predicted: Tensor, target: Tensor, weight: Tensor) -> Tensor:
+        """Return the residuals whose squares `squares` returns, with their signs; derivatives pass through `predicted`."""
+        if self.asked == LINEAR:
+            return weight.sqrt() * (predicted - target)
+        if self.asked == DISPLAY:
+            return weight.sqrt() * (shown(predicted, self.darkest) - shown(target, self.darkest))
+        assert not isinstance(self.asked, str)
+        return self.asked(predicted, target, weight)
+
+
 def white_of(level: float) -> float:
     """Return the value shown as white for data of this mean: 1 by convention, or of another unit ten times the mean."""
     return 1.0 if 0.01 < level < 10 else 10 * level

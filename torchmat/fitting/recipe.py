@@ -130,6 +130,7 @@ class Recipe:
             cameras are right; without it such data is refused. What descends from `start` always does.
         solvers_differ: whether a comparison has a row for each further solver, where none is the obvious one.
         bytes_per_texel: what the maps take by default, in words, for lists of models; empty where unknown.
+        by_luminance: maps that `fit` finds from the luminance of the samples alone, for their standard errors.
     """
 
     material: type[Material]
@@ -150,6 +151,7 @@ class Recipe:
     near: bool = False
     solvers_differ: bool = False
     bytes_per_texel: str = ""
+    by_luminance: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         where = "Recipe"

@@ -46,6 +46,7 @@ class Material(Storable):
     reciprocal: ClassVar[bool] = False
     diffuse_map: ClassVar[str | None] = None  # the map of what a texel sends of light that arrives from everywhere
     glsl: ClassVar[str | Path | None] = None  # file of the twin of `value` in GLSL, beside the module of its class
+    unsure: ClassVar[str | None] = None  # why its maps have no standard errors of their own, where they have none
     bright_at_horizon: bool = False  # its value need not go to 0 as the light sets: pictures of objects fade it
 
     def __init__(
@@ -128,6 +129,10 @@ class Material(Storable):
     def specs(self) -> tuple[MapSpec, ...]:
         """Return what each map is, those of the relief among them where there is one."""
         return (*self.own_specs(), *self._parts)
+
+    def in_codes(self) -> Self | None:
+        """Return the flat material whose value is the code that a screen shows, which the maps sum to; None where they do not."""
+        return None
 
     def value(self, light: Tensor, view: Tensor) -> Tensor:
         """Return the value for light and view above the horizon; what it says below is never used."""

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, Self
 
 import torch
 from torch import Tensor
@@ -108,6 +108,11 @@ class Relightable(Material):
             fact = f"it has {len(pairs)} entries, or some that are something else"
             raise RangeError(message(self.name, "code_range", f"hold {count} pairs of finite numbers", fact))
 
+    def in_codes(self) -> Self | None:
+        if self._is_linear:
+            return None
+        return self._unchecked({spec.name: self.maps[spec.name] for spec in self.own_specs()}, options={**self.options, "space": LINEAR})
+
     def _decoded(self, total: Tensor) -> Tensor:
         return total if self.options["space"] == LINEAR else _from_codes(total.clamp(min=0))
 
@@ -141,6 +146,7 @@ class Lptm(Relightable):
     """Luminance PTM: one biquadratic of luminance per texel, times a colour per texel."""
 
     name = "lptm"
+    unsure = "its luminance and its colour share one scale, which a convention sets"
     glsl = "lptm.glsl"
 
     def own_specs(self) -> tuple[MapSpec, ...]:

@@ -63,6 +63,7 @@ class Neural(Material):
     """
 
     name = "neural"
+    unsure = "its numbers mean nothing but to its network"
     bright_at_horizon = True
 
     def __init__(

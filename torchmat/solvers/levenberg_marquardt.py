@@ -37,7 +37,7 @@ class Solution:
 
 
 @cache
-def _load_forward_rules() -> None:
+def load_forward_rules() -> None:
     """Load torch's rules for forward differentiation, which use what torch itself warns about as deprecated."""
     with warnings.catch_warnings(), forward_ad.dual_level():
         warnings.simplefilter("ignore", DeprecationWarning)
@@ -50,7 +50,7 @@ def forward_jacobian(residual: Callable[[Tensor], Tensor]) -> Callable[[Tensor],
     Problems do not mix, so one tangent serves all of them.
     """
 
-    _load_forward_rules()
+    load_forward_rules()
 
     def jacobian(parameters: Tensor) -> Tensor:
         tangents = torch.eye(parameters.shape[1], dtype=parameters.dtype)[:, None, :]

@@ -36,7 +36,7 @@ def design_of(training: Training, basis: str, ridge: float = 0.0) -> Design:
     return make_design(matrix, training.used, ridge, training.importance)
 
 
-def _encoded(images: Tensor) -> Tensor:
+def encoded(images: Tensor) -> Tensor:
     """Return linear images as the codes of a screen (IEC 61966-2-1), of which 1 is white and which go on above it.
 
     As `colour` does, but by a logarithm, which has the same bits on any number of threads, and in a third of the memory.
@@ -49,7 +49,7 @@ def _encoded(images: Tensor) -> Tensor:
 def _solve(training: Training, basis: str, space: str = LINEAR) -> tuple[Design, Moments, LinearFit]:
     check_option(f"fit to {basis}", "space", space, SPACES)
     design = design_of(training, basis)
-    encode = _encoded if space == SRGB else None
+    encode = encoded if space == SRGB else None
     moments = stream_moments(training.btf, design, training.used, training.dtype, training.progress, encode)
     return design, moments, solve_texels(training.btf, design, moments, training.used)
 
@@ -58,7 +58,7 @@ def _solve_near(training: Training, basis: str, space: str = LINEAR) -> TexelFit
     """Return the fit of directions that each texel has of its own."""
     check_option(f"fit to {basis}", "space", space, SPACES)
     terms, evaluate = BASES[basis]
-    return fit_texels(training, len(terms), evaluate, encode=_encoded if space == SRGB else None)
+    return fit_texels(training, len(terms), evaluate, encode=encoded if space == SRGB else None)
 
 
 def _solved(training: Training, basis: str, space: str = LINEAR) -> LinearFit:
@@ -252,7 +252,7 @@ TEXTURE = Recipe(Texture, fit_texture, near=True, bytes_per_texel="6", rungs=(
     Rung("constant", "texture", 0, {}, {"albedo": StoredAs((1, 1))}), Rung("texture", "texture", 3),
 ))
 LAMBERT = Recipe(
-    Lambert, fit_lambert, near=True, bytes_per_texel="12", on_relief=fit_lambert_on_relief, shared=LambertShared,
+    Lambert, fit_lambert, near=True, bytes_per_texel="12", by_luminance=("normal",), on_relief=fit_lambert_on_relief, shared=LambertShared,
     rungs=(Rung("Lambert", "lambert", 6),),
 )
 # The automatic choice judges highlights too, which sums in linear light are nearer to; what steps makes errors of linear

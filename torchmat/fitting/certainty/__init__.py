@@ -1,0 +1,1 @@
+"""How certain the maps of a fit are, and which photographs would make them more so."""
