@@ -208,7 +208,7 @@ def test_on_a_relief_the_errors_are_those_of_the_samples_on_it():
 
 def test_what_has_no_errors_is_refused_by_name():
     btf = tm.load_btf(tm.sample_path(), cache=False, crop=(0, 0, 4, 4), progress=False)
-    with pytest.raises(RangeError, match="lptm must be a model whose maps have errors; its luminance"):
+    with pytest.raises(RangeError, match="uncertainty of lptm must be asked of maps that have one; its luminance"):
         tm.uncertainty(make("lptm", {}, 4, 4), btf)
     with pytest.raises(ShapeError, match="have the size of the images; it is 2 x 3"):
         tm.uncertainty(make("ptm", {}), btf)

@@ -62,6 +62,8 @@ class Fit:
     """Scene files, or names of those that ship (teapot.toml): fit only what these pictures use."""
     measure: str = "full"
     """full: errors on all held-out samples; quick: on some, about 2 million texels; none."""
+    uncertainty: bool = False
+    """Write standard errors beside the maps (uncertainty/NAME.exr) and show them in the report."""
     no_pictures: bool = False
     """Write the material and report.json only."""
     read: Annotated[DataArguments, tyro.conf.arg(name="")] = field(default_factory=DataArguments)
@@ -71,7 +73,7 @@ class Fit:
     def _flags(self) -> list[str]:
         """Return the flags that were given as keys of a config; they win over --set."""
         keys = ("geometry", "seed", "test", "target.psnr", "target.error", "target.bytes", "target.highlights", "target.seconds")
-        given = {key: getattr(self, key.removeprefix("target.")) for key in keys}
+        given = {key: getattr(self, key.removeprefix("target.")) for key in keys} | {"uncertainty": self.uncertainty or None}
         return [f"{key}={json.dumps(value, ensure_ascii=False)}" for key, value in given.items() if value is not None]
 
     def check_names(self) -> None:

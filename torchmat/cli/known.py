@@ -12,7 +12,7 @@ Bound = tuple[str, float, float]  # what a number must do, and the least and the
 CONFIG_KEYS = (
     "model", "options", "holdout", "holdout_by", "seed", "test", "geometry", "relief", "finish", "indirect", "tiles",
     "target",
-    "tile_size", "memory_mb", "data",
+    "tile_size", "memory_mb", "uncertainty", "data",
 )
 OPTIONS: dict[str, tuple[str, ...]] = {
     "texture": ("storage", "solver", "objective"),

@@ -21,6 +21,7 @@ from torchmat.fitting.recipes import AUTO, RECIPES, default_options, resolve_opt
 from torchmat.geometry.tiling import AUTO_TILES, check_tiles
 from torchmat.fitting.wanted import Target, make_target
 from torchmat.models.relief_maps import RELIEFS
+from torchmat.models.uncertainty import check_sure
 from torchmat.places import right_place
 from torchmat.shipped import find_file, shipped_names
 from torchmat.text_file import parse_value, read_toml
@@ -50,6 +51,7 @@ class FitConfig:
             error there, 0.1); of any model `seconds`.
         tile_size: side, in texels, of the tiles that are fitted one after the other; 0 is no wish.
         memory_mb: what a fit may take, in MB, by tiles if need be; 0 is no wish.
+        uncertainty: whether standard errors of the maps are found beside them (`tm.uncertainty`).
         data: keywords of `load_btf`, used by the command line.
     """
 
@@ -67,6 +69,7 @@ class FitConfig:
     target: dict[str, Any] = field(default_factory=dict)
     tile_size: int = 0
     memory_mb: float = 0.0
+    uncertainty: bool = False
     data: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -81,6 +84,8 @@ class FitConfig:
             if not 0 <= getattr(self, name) < math.inf:
                 step = "0 leaves it open."
                 raise RangeError(message("config", name, "be at least 0", f"it is {getattr(self, name)}", step))
+        if self.uncertainty and self.model != AUTO:
+            check_sure("config", recipe_of(self.model).material)
         others = [name for name in ("error", "psnr", "bytes", "highlights") if self.target.get(name) is not None]
         if others and self.model != AUTO:
             step = f'Fit "{AUTO}" to let the model be chosen, or leave {others[0]} out.'
@@ -109,10 +114,10 @@ def _typed(where: str, table: dict[str, Any]) -> dict[str, Any]:
     kinds: dict[str, Any] = {
         "model": str, "options": dict, "holdout": (int, float), "holdout_by": str, "seed": int, "test": str, "geometry": str,
         "relief": str, "finish": bool, "indirect": str, "tiles": (bool, str), "target": dict, "tile_size": int,
-        "memory_mb": (int, float), "data": dict,
+        "memory_mb": (int, float), "uncertainty": bool, "data": dict,
     }
     for key, value in table.items():
-        if not isinstance(value, kinds[key]) or (isinstance(value, bool) and key not in ("tiles", "finish")):
+        if not isinstance(value, kinds[key]) or (isinstance(value, bool) and key not in ("tiles", "finish", "uncertainty")):
             wanted = getattr(kinds[key], "__name__", "number")
             raise RangeError(message(where, key, f"be a {wanted}", f"it is {value!r}"))
     return table

@@ -20,6 +20,7 @@ from torchmat.btf.tiling import decided
 from torchmat.errors import RangeError, check_option, message
 from torchmat.fitting.between import AUTO as LIGHT_AUTO
 from torchmat.fitting.between import MAP as LIGHT_MAP
+from torchmat.fitting.certainty.estimate import uncertainty as uncertainty_of
 from torchmat.fitting.choice.choose import fit_auto
 from torchmat.fitting.config import FitConfig, load_config
 from torchmat.fitting.evaluate import MEASURES, evaluate, shading_rate
@@ -41,8 +42,10 @@ from torchmat.machine import peak_memory_mb, versions
 from torchmat.models import Material
 from torchmat.models.masked import cut_out
 from torchmat.models.relief_maps import FAST, FINE
+from torchmat.models.uncertainty import Uncertainty, check_sure
 from torchmat.progress import working
 from torchmat.scene_use import SceneUse, Usable, as_use
+from torchmat.solvers import Stepping
 from torchmat.solvers.clock import Watch
 
 NONE, _, FULL = MEASURES
@@ -62,6 +65,7 @@ class FitResult:
         coverage: [1, H, W], the share of the unknowns that each texel's samples determine; None where it has no meaning.
         held_out_errors: [m], the display error of each held-out sample; None if not all were measured.
         relief: the geometry that was recovered and used; None on a flat surface or a given height.
+        uncertainty: standard errors of the maps; None where they were not asked for, or the model that was chosen has none.
         history: (seconds, error) as the fit went on: of an iterative solver in its own terms, or with `curve` the relative
             error on held-out samples.
     """
@@ -74,6 +78,7 @@ class FitResult:
     held_out_errors: Tensor | None = None
     relief: Relief | None = None
     history: list[tuple[float, float]] = field(default_factory=list)
+    uncertainty: Uncertainty | None = None
 
 
 def fit(
@@ -99,6 +104,7 @@ def fit(
     memory_mb: float | None = None,
     work: str | Path | None = None,
     curve: bool = False,
+    uncertainty: bool | None = None,
     dtype: torch.dtype = torch.float32,
     measure: str | bool = "full",
     progress: bool | None = None,
@@ -143,6 +149,8 @@ def fit(
         memory_mb: what the fit may take, in MB.
         work: folder that keeps finished tiles, where a run that was stopped goes on.
         curve: whether to record the held-out error against seconds as `history`.
+        uncertainty: whether the result has standard errors of its maps (`tm.uncertainty`), which a folder and its report then
+            show; usually False.
         dtype: torch.float32, or torch.float64 for the same code in double precision.
         measure: "full" (or True) puts errors on all held-out samples into the report, "quick" on some, about 2 million texels,
             "none" (or False) none; measuring takes most of the time of a closed-form fit.
@@ -156,7 +164,7 @@ def fit(
     given = {
         "holdout": holdout, "holdout_by": holdout_by, "seed": seed, "relief": relief, "finish": finish,
         "indirect": indirect, "tiles": tiles, "tile_size": tile_size, "memory_mb": memory_mb,
-        "test": None if isinstance(test, Btf) or test is None else str(test),
+        "uncertainty": uncertainty, "test": None if isinstance(test, Btf) or test is None else str(test),
     }
     wanted = {"error": error, "psnr": psnr, "bytes": bytes, "seconds": seconds, "highlights": highlights}
     how = FULL if measure is True else NONE if measure is False else measure
@@ -191,6 +199,8 @@ def fit(
     report["lambert_residual"] = figures and figures.report()
     report |= unseen_source(btf, other)
     report |= {"tiles": tiles, "tiling": tiling and tiling.report()}
+    certain = _uncertainty(btf, config, fitted.material, used, split, progress)
+    report["uncertainty"] = certain and certain.as_table()
     if task.scene is not None:
         report["scene"] = scene_figures(btf, fitted, split, task.scene, tiles, how != NONE, progress)
     if work is not None:
@@ -198,8 +208,19 @@ def fit(
     return FitResult(
         fitted.material, fitted.stop_reason, report, split, fitted.coverage,
         held_out.per_sample if held_out and len(held_out.per_sample) == len(split.held_out) else None,
-        fitted.relief, watch.history or fitted.history,
+        fitted.relief, watch.history or fitted.history, certain,
     )
+
+
+def _uncertainty(
+    btf: Btf, config: FitConfig, material: Material, options: dict[str, Any], split: Split, progress: bool | None
+) -> Uncertainty | None:
+    """Return the standard errors that the config asks for; of a model that the choice took and that has none, None."""
+    if not config.uncertainty or material.unsure is not None:
+        return None
+    stepped = isinstance(options.get("solver"), Stepping)
+    with working("finding how certain the maps are", progress), torch.no_grad():
+        return uncertainty_of(material, btf, split.train, objective=options.get("objective") if stepped else None, progress=progress)
 
 
 @dataclass(frozen=True)
@@ -241,7 +262,10 @@ def _of_material(
     if material.dtype != dtype:
         step = f"Give dtype={material.dtype}, or convert the material with .to({dtype})."
         raise RangeError(message("fit a material", "dtype", f"be {material.dtype} as its maps are", f"it is {dtype}", step))
-    known = {name: value for name, value in given.items() if value is not None and name in ("holdout", "holdout_by", "seed", "test")}
+    kept_words = ("holdout", "holdout_by", "seed", "test", "uncertainty")
+    known = {name: value for name, value in given.items() if value is not None and name in kept_words}
+    if known.get("uncertainty"):
+        check_sure("fit", material)
     config = FitConfig(tiles=material.tiles, target={} if seconds is None else {"seconds": seconds}, **known)
     used = {"solver": how.solver.filled(), "objective": how.objective, "keep": kept}
     word = "given" if material.has_relief else "flat"

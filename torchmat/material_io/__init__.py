@@ -9,8 +9,9 @@ from torchmat.material_io.folder import check_target, save_material
 from torchmat.material_io.packing import pack, packed, unpack
 from torchmat.material_io.read_folder import load_material
 from torchmat.material_io.relief_folder import save_relief
+from torchmat.material_io.uncertainty_textures import load_uncertainty
 
 __all__ = [
-    "EXPORTERS", "Exporter", "Losses", "change_material", "check_target", "export", "load_height", "load_material",
+    "EXPORTERS", "Exporter", "Losses", "change_material", "check_target", "export", "load_height", "load_material", "load_uncertainty",
     "pack", "packed", "register_exporter", "save_material", "save_relief", "unpack", "unregister_exporter",
 ]

@@ -12,6 +12,8 @@ from torchmat import atomic
 from torchmat.errors import RangeError, message
 from torchmat.material_io.folder import MANIFEST, check_target, manifest_of, write_texture
 from torchmat.material_io.read_folder import load_material, read_manifest
+from torchmat.material_io.uncertainty_textures import KEY as UNCERTAINTY
+from torchmat.material_io.uncertainty_textures import without
 from torchmat.models import Material
 from torchmat.swap import swapping
 from torchmat.written import DIGESTS, EDITED, changed_files, digest_of, write_table
@@ -58,7 +60,8 @@ def change_material(
     ours = manifest.get(DIGESTS, {})
     gone = {entry["file"] for entry in old if entry["map"] not in kept}
     fresh = {texture.file for texture in after.textures() if texture.spec.name not in kept}
-    gone = {name for name in gone if name in ours} | {name for name in fresh if (source / name).exists()}
+    errors, stale = without(manifest[UNCERTAINTY], {*before.maps, *after.maps} - kept) if UNCERTAINTY in manifest else ({}, [])
+    gone = {name for name in (*gone, *stale) if name in ours} | {name for name in fresh if (source / name).exists()}
     if out is None:
         painted = changed_files(source / MANIFEST, edits=False)
         aside = bool(gone) and (painted is None or not gone.isdisjoint(painted) or not gone <= ours.keys())
@@ -70,6 +73,8 @@ def change_material(
         entries.sort(key=lambda entry: order.index(entry["map"]))
         written = [entry["file"] for entry in new]
         table = _manifest(manifest, after, entries, kept, record, [*written, *gone])
+        table.pop(UNCERTAINTY, None)
+        table |= {UNCERTAINTY: errors} if errors else {}  # of a map that is another now they say nothing
         digests = {**ours, **{name: digest_of(building / name) for name in written}}
         digests = {name: digest for name, digest in digests.items() if (building / name).is_file()}
         write_table(building / MANIFEST, table, digests)

@@ -21,9 +21,12 @@ from torchmat.errors import DataError, message
 from torchmat.images import write_image
 from torchmat.machine import package_version
 from torchmat.material_io.exporter import LOSS, Exporter, Losses, exporter_of_file
+from torchmat.material_io.uncertainty_textures import KEY as UNCERTAINTY
+from torchmat.material_io.uncertainty_textures import write_uncertainty
 from torchmat.models import Material
 from torchmat.models.relief_maps import FAST
 from torchmat.models.storage import STORAGES, Codes, MapSpec, StoredTexture, check_map
+from torchmat.models.uncertainty import Uncertainty
 from torchmat.progress import phase
 from torchmat.text_file import read_json
 from torchmat.written import files_below, write_record
@@ -109,7 +112,8 @@ def _known_files(target: Path) -> set[str]:
         manifest = read_json(target / MANIFEST, "the manifest", "be a torchmat material")
         if manifest["format"] != FORMAT:
             return set()
-        return {MANIFEST, LOSS, *(entry["file"] for entry in manifest["textures"]), *manifest.get("companions", ())}
+        beside = manifest.get(UNCERTAINTY, {}).get("textures", ())
+        return {MANIFEST, LOSS, *(entry["file"] for entry in (*manifest["textures"], *beside)), *manifest.get("companions", ())}
     except (DataError, KeyError, TypeError, AttributeError):
         return set()
 
@@ -137,7 +141,7 @@ def check_target(target: str | Path, force: bool = False) -> bool:
 
 def save_material(
     material: Material, folder: str | Path, provenance: dict[str, Any] | None = None,
-    companions: Callable[[Path], None] | None = None, force: bool = False,
+    companions: Callable[[Path], None] | None = None, force: bool = False, uncertainty: Uncertainty | None = None,
 ) -> Path:
     """Write a material as a folder that appears whole or not at all; return its path.
 
@@ -152,6 +156,7 @@ def save_material(
         companions: called with the folder before it appears, to write more into it (report, pictures).
         force: True replaces a material folder whatever was painted in it or put beside it, and keeps the old one as
             ``NAME.backup-1`` (or the next free number); of a file it does so whatever stands there.
+        uncertainty: standard errors of the maps (`tm.uncertainty`), which a folder holds beside them; None is none.
 
     Raises DataError when the folder cannot be written, RangeError when a map cannot be stored.
     """
@@ -166,6 +171,8 @@ def save_material(
     with atomic.building(target, backup=check_target(target, force)) as building:
         with phase("writing textures"):
             manifest = write_material(material, building, provenance)
+            if uncertainty is not None:
+                manifest[UNCERTAINTY] = write_uncertainty(building, material, uncertainty)
         if companions is not None:
             before = set(files_below(building))
             companions(building)

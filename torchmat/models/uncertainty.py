@@ -12,6 +12,13 @@ from torch import Tensor
 from torchmat.errors import RangeError, message
 
 
+def check_sure(where: str, kind: Any) -> None:
+    """Raise RangeError for a material, or a class of them, whose maps have no standard errors of their own."""
+    if kind.unsure is not None:
+        step = "Fit another model, such as ptm, hsh, phong_srf, distribution or microfacet."
+        raise RangeError(message(where, f"uncertainty of {kind.name}", "be asked of maps that have one", kind.unsure, step))
+
+
 @dataclass(frozen=True)
 class Uncertainty:
     """Standard errors of the maps of a fit: one standard deviation of what other photographs of the same noise would give.

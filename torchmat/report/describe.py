@@ -18,7 +18,7 @@ from torchmat.btf import Btf
 from torchmat.create.textures import find_textures
 from torchmat.errors import DataError
 from torchmat.images import read_picture
-from torchmat.material_io import load_material
+from torchmat.material_io import load_material, load_uncertainty
 from torchmat.material_io.files import reader_of
 from torchmat.material_io.folder import MANIFEST
 from torchmat.material_io.gltf_material import has_material
@@ -85,7 +85,16 @@ def describe_material(path: str | Path) -> str:
     for spec in material.specs():
         value = material.maps[spec.name].detach()
         maps.append([spec.name, spec.meaning, str(tuple(value.shape)), float(value.min()), float(value.max())])
-    return text_table(["", ""], facts) + "\n\n" + text_table(["map", "meaning", "shape", "least", "largest"], maps)
+    return text_table(["", ""], facts) + "\n\n" + text_table(["map", "meaning", "shape", "least", "largest"], maps) + _errors_text(path)
+
+
+def _errors_text(path: str | Path) -> str:
+    """Return a table of the standard errors that stand in a material folder, behind an empty line; nothing where none do."""
+    found = load_uncertainty(path) if os.path.isfile(Path(path) / MANIFEST) else None
+    if found is None:
+        return ""
+    rows = [[name, one["median"], one["largest"], one["span"]] for name, one in found.as_table()["maps"].items()]
+    return "\n\n" + text_table(["standard error of", "usual", "largest", "range of the map"], rows)
 
 
 def describe_own_material(path: str | Path) -> str:

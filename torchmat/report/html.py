@@ -10,6 +10,7 @@ from urllib.parse import quote
 
 from torchmat import colour
 from torchmat.report.decisions_page import decided_text, decision_rows, map_rows, outcome_text, shrinking_rows, wanted_text
+from torchmat.report.error_cards import certain_parts
 from torchmat.report.inline import data_uri, shown_size
 from torchmat.report.map_cards import MOST, MapCard
 from torchmat.report.page import Markup, Picture, code, details, figure, listed, page, paragraph, plot, section, table, text
@@ -38,7 +39,7 @@ _ELSEWHERE = ("comparison", "maps")  # shown on the page by pictures of their ow
 
 def fit_page(
     report: Mapping[str, Any], pictures: Sequence[Path], rows: Sequence[Shown] = (), cards: Sequence[MapCard] = (),
-    parameters: Sequence[Sequence[str]] = (), viewer: str = "",
+    parameters: Sequence[Sequence[str]] = (), viewer: str = "", errors: Sequence[MapCard] = (),
 ) -> str:
     """Return the page of one fit.
 
@@ -49,6 +50,7 @@ def fit_page(
         cards: the textures that stand beside the page.
         parameters: name, value and unit of numbers that all texels share.
         viewer: markup that shows the material, moving (`viewer.viewer_of`); "" shows none.
+        errors: standard errors of the maps (`error_cards`).
     """
     plots = {path.stem: plot(path, _CAPTIONS.get(path.stem, path.stem.replace("_", " "))) for path in pictures if path.stem not in _ELSEWHERE}
     found = verdict(report)
@@ -61,6 +63,7 @@ def fit_page(
         section("How true it is", _figures(report), _plots(plots, "error_by_angle", "error_by_seconds"), _bands(report)),
         section("On objects, and from other directions", _plots(plots, "sphere", "hemisphere", "relief", "oblique")),
         section("The maps", *_maps(cards, parameters)),
+        section("How certain the maps are", *certain_parts(errors, report, _maps(errors, ()))),
         section("The scene", table((), scene_rows(dict(report)), "facts")) if "scene" in report else "",
         section("The data", table((), _data(report), "facts"), _plots(plots, "directions", "coverage", "object_mask")),
         *_decisions(choice), section("How it was made", table((), _made(report), "facts")), *plots.values(),

@@ -15,6 +15,7 @@ from torchmat.material_io import packed, save_material
 from torchmat.models import Distribution, Material
 from torchmat.progress import in_command, phase
 from torchmat.report.decisions_page import decisions_picture, decisions_text
+from torchmat.report.error_cards import error_cards
 from torchmat.report.html import fit_page
 from torchmat.report.map_cards import map_cards, parameter_rows
 from torchmat.report.maps import hemisphere_picture, maps_picture
@@ -50,10 +51,12 @@ def write_fit(
                 written.insert(0, decisions_picture(choice, building / "pictures" / "decisions.png"))
             with phase("writing the report"):
                 cards, numbers = map_cards(result.material, building), parameter_rows(result.material)
-                page = fit_page(report, written, rows, cards, numbers, viewer_of(result.material))
+                certain = [] if result.uncertainty is None else error_cards(result.material, result.uncertainty, building)
+                viewer = viewer_of(result.material, certain)
+                page = fit_page(report, written, rows, cards, numbers, viewer, certain)
                 (building / "report.html").write_text(page, encoding="utf-8")
 
-    return save_material(result.material, folder, _provenance(result.report), companions, force)
+    return save_material(result.material, folder, _provenance(result.report), companions, force, result.uncertainty)
 
 
 def _fit_pictures(btf: Btf, pictured: FitResult, result: FitResult, folder: Path, rows: Sequence[Shown]) -> list[Path]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -31,7 +31,7 @@ class Shown:
 
 def show(
     material: Material, mesh: Any = "teapot", errors: Mapping[str, Any] | None = None, most: int = MOST_TEXELS, stills: bool = True,
-    options: Mapping[str, Any] | None = None, level: int = SMALL,
+    options: Mapping[str, Any] | None = None, level: int = SMALL, thumbnails: Sequence[Mapping[str, str]] = (),
 ) -> Shown:
     """Return the viewer of a material, as an element for any page.
 
@@ -42,11 +42,15 @@ def show(
         stills: whether to make pictures for browsers without WebGL 2; a material without a shader always has them.
         options: of `mount` in `js/viewer.js`.
         level: of gzip, `page.SMALL` or `page.QUICK`.
+        thumbnails: small pictures that stand behind the maps, such as those of their standard errors: "name", "said", "extent"
+            and the "uri" of a picture.
 
     Raises RangeError for what is no mesh.
     """
     material, notes = _small_enough(material, most)
     extra: dict[str, Any] = {"notes": notes, "shape": mesh if isinstance(mesh, str) else None}
+    if thumbnails:
+        extra["thumbnails"] = [dict(one) for one in thumbnails]
     if errors:
         extra["errors"] = dict(errors)
     if not has_shader(material):

@@ -9,15 +9,15 @@ import torch
 from torch import Tensor
 
 from torchmat.btf import Btf
-from torchmat.errors import RangeError, ShapeError, message
-from torchmat.fitting.certainty.information import Noise, covariance_of, noise_of
+from torchmat.errors import ShapeError, message
+from torchmat.fitting.certainty.information import covariance_of, noise_of
 from torchmat.fitting.certainty.jacobian import Jacobian, jacobian_of
 from torchmat.fitting.certainty.observed import Observed, observe
 from torchmat.fitting.objective import Residual
 from torchmat.fitting.recipe import RECIPES
 from torchmat.fitting.training import make_training
 from torchmat.models import Material
-from torchmat.models.uncertainty import Uncertainty
+from torchmat.models.uncertainty import Uncertainty, check_sure
 from torchmat.progress import progress as progress_bar
 
 _WORK = 40_000_000  # samples times texels that are looked at
@@ -63,9 +63,7 @@ def uncertainty(
 def _checked(material: Material, btf: Btf) -> tuple[Material, Btf]:
     """Return a material and the images of the texels that it covers; raises where there are no errors to be had."""
     where = "uncertainty"
-    if material.unsure is not None:
-        step = "Fit another model, such as ptm, hsh, phong_srf, distribution or microfacet."
-        raise RangeError(message(where, material.name, "be a model whose maps have errors", material.unsure, step))
+    check_sure(where, material)
     part = material.cutout
     if part is not None and (btf.height, btf.width) == (part.whole_height, part.whole_width):
         btf = btf.window(part.top, part.left, part.height, part.width)

@@ -20,7 +20,7 @@ class Space:
 
     def __init__(self, material: Material, training: Training, objective: str | Residual | None = None) -> None:
         self.codes = objective is None and material.in_codes() is not None
-        asked = LINEAR if material.name not in RECIPES else RECIPES[material.name].objective
+        asked: str | Residual = LINEAR if material.name not in RECIPES else RECIPES[material.name].objective
         asked = asked if objective is None else objective
         # A model's own objective under a name of its own is a root of the values too.
         asked = DISPLAY if isinstance(asked, str) and asked not in OBJECTIVES else asked

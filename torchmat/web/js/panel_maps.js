@@ -29,6 +29,9 @@ export function mapsPanel(viewer) {
       const said = [element("b", {}, title), element("span", {}, entry.meaning), element("small", {}, extent(entry))];
       return element("li", {}, frame, element("div", {}, ...said));
     }));
+    list.append(...(viewer.extra.thumbnails ?? []).map(({ name, said, extent: between, uri }) => element("li", {},
+      element("div", { class: "tmv-thumb" }, element("img", { src: uri, alt: said })),
+      element("div", {}, element("b", {}, name), element("span", {}, said), element("small", {}, between)))));
     // Small pictures are made after the first large one, which is what one waits for.
     setTimeout(() => [...pictures.keys()].forEach(paint), 0);
   };
