@@ -25,6 +25,8 @@ from torchmat.fitting.models import linear, phong_srf, shading_map
 from torchmat.fitting.models.spheres import to_btf
 from torchmat.fitting.recipes import default_options
 from torchmat.fitting.wanted import Target
+from torchmat.fitting.certainty.plan import VIEWS
+from torchmat.fitting.certainty.search import CRITERIA
 from torchmat.geometry.from_photographs import INTEGRATIONS
 from torchmat.material_io import packing, relief_folder
 from torchmat.material_io.exporter import EXPORTERS
@@ -51,6 +53,7 @@ def test_the_names_that_are_known_early_are_those_that_there_are():
     ours = {name for name, reader in READERS.items() if reader.listing.__module__.startswith("torchmat.")}
     assert known.ENCODINGS == tuple(ENCODINGS) and known.HOLDOUT_WAYS == HOLDOUT_WAYS and known.MEASURES == MEASURES
     assert known.FILTERS == FILTERS and known.INTEGRATIONS == INTEGRATIONS and known.PACK_DEPTHS == packing.DEPTHS
+    assert known.CRITERIA == CRITERIA and known.PLAN_VIEWS == VIEWS
     assert known.RELIEF_DEPTHS == relief_folder.DEPTHS and {*known.KINDS} == ours
     assert DataArguments.words == {"encoding": ENCODINGS, "invalid": INVALID_WAYS, "duplicates": DUPLICATE_WAYS}
     assert {*known.EXPORTERS} == {*EXPORTERS} == {*known.known_exporters()}

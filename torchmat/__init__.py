@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from torchmat.errors import DataError, FitError, RangeError, ShapeError, TorchmatError
     from torchmat.fitting import FitConfig, Recipe, describe_model, describe_models, load_config, recover_geometry, register
     from torchmat.fitting.certainty.estimate import uncertainty
+    from torchmat.fitting.certainty.plan import Plan, plan
     from torchmat.fitting.evaluate import evaluate
     from torchmat.fitting.fit import FitResult, fit
     from torchmat.fitting.refit import refit
@@ -39,6 +40,7 @@ _NAMES = {
         "recover_geometry", "refit", "register",
     ),
     "fitting.certainty.estimate": ("uncertainty",),
+    "fitting.certainty.plan": ("Plan", "plan"),
     "material_io": ("Exporter", "Losses", "export", "load_material", "pack", "register_exporter", "save_material"),
     "models": ("Material",),
     "models.uncertainty": ("Uncertainty",),
@@ -52,10 +54,10 @@ _PLACES = {name: place for place, names in _NAMES.items() for name in names}
 
 __all__ = [
     "LBFGS", "Adam", "Brdf", "Btf", "Camera", "ClosedForm", "DataError", "Directional", "Exporter", "FitConfig",
-    "FitError", "FitResult", "LevenbergMarquardt", "Losses", "Material", "Minibatch", "Point", "RangeError", "RawBtf",
+    "FitError", "FitResult", "LevenbergMarquardt", "Losses", "Material", "Minibatch", "Plan", "Point", "RangeError", "RawBtf",
     "Reader", "Recipe", "Scene", "ShapeError", "TorchmatError", "Uncertainty", "VariableProjection", "compare", "describe_model",
     "describe_models", "environment_lights", "evaluate", "export", "fit", "load_brdf", "load_btf", "load_config",
-    "load_material", "open_studio", "pack", "recover_geometry", "refit", "register", "register_exporter", "register_reader", "render",
+    "load_material", "open_studio", "pack", "plan", "recover_geometry", "refit", "register", "register_exporter", "register_reader", "render",
     "sample_path", "sample_truth", "save_material", "split_samples", "uncertainty",
 ]
 
