@@ -22,7 +22,7 @@ _ALIKE = 0.8  # share of the squared residual that is misfit; the rest is noise 
 
 def likeness(light: Tensor, view: Tensor, other_light: Tensor, other_view: Tensor) -> Tensor:
     """Return how alike the misfit of pairs [n, 3] and [m, 3] is, [n, m]: 1 for the same pair."""
-    squared = sum(_angle(*pair).square() for pair in ((light, other_light), (view, other_view)))
+    squared = _angle(light, other_light).square() + _angle(view, other_view).square()
     return torch.exp(-squared / (2 * _REACH**2))
 
 
