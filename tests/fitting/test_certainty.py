@@ -146,6 +146,19 @@ def test_errors_of_a_linear_model_are_those_of_its_normal_equations():
                 assert_close(found.error["polynomial"][colour::3, row, column], torch.from_numpy(exact), 1e-9)
 
 
+def test_near_lights_are_those_of_each_texel():
+    images = RNG.uniform(0.2, 0.8, (len(LIGHT), 3, 4, 5))
+    btf = tm.Btf.from_tensors(images, None, ALONG, light_position=torch.from_numpy(1.5 * LIGHT), falloff=False)
+    result = tm.fit(btf, "ptm", space="linear", holdout=0, measure="none", tiles=False, dtype=torch.float64)
+    found, light = tm.uncertainty(result.material, btf), btf.directions(range(len(btf)))[0].numpy()
+    design = np.stack([polynomial(one, one) for one in light[:, :, 3, 0]])
+    inverse = np.linalg.inv(design.T @ design)
+    target = images[:, 1, 3, 0]
+    gap = target - design @ (inverse @ design.T @ target)
+    exact = np.sqrt(gap @ gap / (len(LIGHT) - 6) * inverse.diagonal())
+    assert_close(found.error["polynomial"][1::3, 3, 0], torch.from_numpy(exact), 1e-9)
+
+
 @pytest.mark.parametrize("name", [name for name in MATERIALS if MATERIALS[name].unsure is None])
 def test_derivatives_are_those_of_differences(name):
     options = EXAMPLE_OPTIONS[name][-1]

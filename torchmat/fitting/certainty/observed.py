@@ -21,7 +21,8 @@ from torchmat.models.relief_maps import OPACITY
 
 
 class Some(NamedTuple):
-    """Some samples at a strip of texels: directions [k, 3, 1, 1], values [k, 3, h, w], weights and light [k, 1, h, w]."""
+    """Some samples at a strip of texels: directions [k, 3, 1, 1] (of near lights and cameras [k, 3, h, w]), values [k, 3, h, w],
+    weights and light [k, 1, h, w]."""
 
     light: Tensor
     view: Tensor
@@ -54,7 +55,7 @@ class Observed:
     def some(self, numbers: Tensor) -> Some:
         """Return samples by their numbers [k]."""
         dtype = self.flat.dtype
-        light, view = (direction[numbers, :, None, None].to(dtype) for direction in (self.btf.light, self.btf.view))
+        light, view = self.btf.directions(numbers, dtype)
         weight = self.btf.weights(numbers).to(dtype)
         lit = None if self.lit is None else self.lit[self.btf.light_index[numbers]]
         return Some(light, view, self.btf.images(numbers, dtype), weight, lit)

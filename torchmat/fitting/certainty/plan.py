@@ -67,7 +67,8 @@ def plan(
     """Return the lights and views whose photographs would reduce the expected error of a fit most, given those taken.
 
     The expected error is that of a fit of the model to the photographs, over the directions that can be taken: what noise makes
-    of it, and a misfit, as large as the residual, that photographs near each other repeat. Shadow and parallax are not looked at.
+    of it, and a misfit, as large as the residual, that photographs near each other repeat. Shadow and parallax are not looked at;
+    near lights count as those of the centre.
 
     Args:
         btf: the photographs that were taken.
