@@ -94,8 +94,7 @@ def rectify(
     for top in range(0, height, _BAND):
         rows = slice(top, min(top + _BAND, height))
         at, jacobian, area = _mapped(grid, camera, pose, rows, shift)
-        counts = tuple(int(np.clip(np.ceil(_PER_PIXEL * _most(jacobian[..., axis])), _LEAST, _MOST)) for axis in (0, 1))
-        values[:, rows] = torch.from_numpy(_averaged(planes, at, jacobian, counts))
+        values[:, rows] = torch.from_numpy(_averaged(planes, at, jacobian, _count(jacobian[..., 0]), _count(jacobian[..., 1])))
         reach = np.abs(jacobian).sum(-1) / 2 + 1
         inside = ((at >= reach) & (at <= np.array(camera.size) - 1 - reach)).all(-1)
         if board is not None:
@@ -121,21 +120,21 @@ def _mapped(grid: Grid, camera: Camera, pose: Pose, rows: slice, shift: np.ndarr
     return at(0, 0), jacobian, np.abs(np.linalg.det(jacobian))
 
 
-def _most(step: np.ndarray) -> float:
-    """Return the longest of steps [h, w, 2] in pixels."""
-    return float(np.linalg.norm(step, axis=-1).max())
+def _count(step: np.ndarray) -> int:
+    """Return how many samples stand along a texel's side, whose steps [h, w, 2] in pixels are these."""
+    return int(np.clip(np.ceil(_PER_PIXEL * float(np.linalg.norm(step, axis=-1).max())), _LEAST, _MOST))
 
 
-def _averaged(planes: list[np.ndarray], at: np.ndarray, jacobian: np.ndarray, counts: tuple[int, int]) -> np.ndarray:
+def _averaged(planes: list[np.ndarray], at: np.ndarray, jacobian: np.ndarray, columns: int, rows: int) -> np.ndarray:
     """Return the means [C, h, w] of samples spread evenly over each texel."""
     cv2 = opencv()
     total = np.zeros((len(planes), *at.shape[:2]), np.float32)
-    for across in (np.arange(counts[0]) + 0.5) / counts[0] - 0.5:
-        for down in (np.arange(counts[1]) + 0.5) / counts[1] - 0.5:
+    for across in (np.arange(columns) + 0.5) / columns - 0.5:
+        for down in (np.arange(rows) + 0.5) / rows - 0.5:
             place = (at + jacobian @ np.array([across, down])).astype(np.float32)
             for channel, plane in enumerate(planes):
                 total[channel] += cv2.remap(plane, place[..., 0], place[..., 1], cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
-    return total / (counts[0] * counts[1])
+    return total / (columns * rows)
 
 
 def _hidden(board: Board, points: np.ndarray, pose: Pose) -> np.ndarray:

@@ -23,6 +23,11 @@ class Scene:
     cameras: tuple[Camera, ...]
     poses: tuple[Pose, ...]
 
+    def picked(self, kept: Sequence[int]) -> Scene:
+        """Return the scene of some of the photographs, by their numbers."""
+        photographs = tuple(self.photographs[index] for index in kept)
+        return Scene(self.board, photographs, tuple(self.cameras[index] for index in kept), tuple(self.poses[index] for index in kept))
+
 
 @dataclass(frozen=True, eq=False)
 class Step:
@@ -51,10 +56,25 @@ class Step:
 class Photometry(Protocol):
     """Light and colour of photographs: the other half of a capture, which asks for a `Scene` and is asked for this."""
 
-    steps: Sequence[Step]
-    light: np.ndarray  # [n, 3], unit directions from the window's centre
-    position: np.ndarray | None  # [n, 3] in mm where lamps are near
-    keep: Sequence[bool]  # [n], false for photographs that cannot be used; a step's notes say why
+    @property
+    def steps(self) -> Sequence[Step]:
+        """What was found, for the table and the page."""
+        ...
+
+    @property
+    def light(self) -> np.ndarray:
+        """Unit directions [n, 3] from the window's centre."""
+        ...
+
+    @property
+    def position(self) -> np.ndarray | None:
+        """Positions [n, 3] in mm of lamps, NaN of far ones; None where all are far."""
+        ...
+
+    @property
+    def keep(self) -> Sequence[bool]:
+        """Which photographs have a light; a step's notes say why others have none."""
+        ...
 
     def correct(self, index: int, pixels: Tensor) -> Tensor:
         """Return a photograph's pixels [3, H, W] without vignetting, in common exposure, white and colour."""
