@@ -33,7 +33,8 @@ def _form(manifest: Mapping[str, Any]) -> Path:
     textures = [{key: one.get(key) for key in _OF_TEXTURES} for one in manifest["textures"]]
     stored = {name: one.get("size") for name, one in manifest.get("stored", {}).items()}
     sizes = {name: len(values) for name, values in manifest["constants"].items()}
-    with os.scandir(str(files("torchmat.models"))) as entries:
+    # To ask for the files of the package itself would import it, and torch.
+    with os.scandir(str(files("torchmat").joinpath("models"))) as entries:
         code = sorted((entry.name, entry.stat().st_mtime_ns) for entry in entries if entry.name.endswith((".py", ".glsl")))
     text = json.dumps([_FORMAT, rest, textures, stored, sizes, code], sort_keys=True)
     return cache_folder() / "forms" / f"{hashlib.sha256(text.encode()).hexdigest()}.json"
