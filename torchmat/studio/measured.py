@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Sequence
 from pathlib import Path
@@ -18,18 +17,9 @@ from torchmat.fitting import load_config
 from torchmat.fitting.evaluate import comparable, evaluate
 from torchmat.models import Material
 from torchmat.report.samples import nearest_sample, shown
+from torchmat.studio.reported import REPORT, report_in
 
-REPORT = "report.json"
 PARTS = ("held_out", "held_out_after_export")
-
-
-def report_in(folder: Path) -> dict[str, Any]:
-    """Return the report of the fit of a material; an empty one where there is none."""
-    try:
-        found = json.loads((folder / REPORT).read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError):
-        return {}
-    return found if isinstance(found, dict) else {}
 
 
 class Measured:

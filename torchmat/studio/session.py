@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from torchmat.create.edits import EDITS, edited, without
 from torchmat.errors import DataError, RangeError, TorchmatError, check_known_keys, message
@@ -14,14 +14,17 @@ from torchmat.material_io.choose_file import choose_file
 from torchmat.material_io.read_folder import load_material, read_manifest, reread
 from torchmat.models import Material
 from torchmat.models.blend import blend
-from torchmat.studio.measured import Measured, report_in
 from torchmat.studio.pictured import Pictured
 from torchmat.studio.place import check_links
 from torchmat.studio.quick import quick_map
+from torchmat.studio.reported import report_in
 from torchmat.studio.textures import textures_of
 from torchmat.swap import signature_of
 from torchmat.web.errors import error_table
 from torchmat.web.payload import TRANSFER, describe, describe_pictured, has_shader, map_of
+
+if TYPE_CHECKING:
+    from torchmat.studio.measured import Measured
 
 Map = tuple[dict[str, Any], bytes]
 
@@ -34,7 +37,7 @@ class Session:
 
     def __init__(self, folder: str, others: Sequence[str] = (), btf: str | None = None) -> None:
         self.folder = Path(folder)
-        self._measured = None if btf is None else Measured(btf, self.folder)
+        self._measured = None if btf is None else _measured(btf, self.folder)
         self._others = list(others)
         self._material: Material | None = None
         self._manifest: dict[str, Any] = {}
@@ -210,3 +213,9 @@ class Session:
             return material.with_maps(**{name: source.maps[name].detach() for name in maps})
 
         return self._write(change, record)
+
+
+def _measured(btf: str, folder: Path) -> Measured:
+    from torchmat.studio.measured import Measured  # all that fits and reports with it, for which a first picture need not wait
+
+    return Measured(btf, folder)
