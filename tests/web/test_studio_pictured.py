@@ -89,7 +89,7 @@ def test_coarse_pictures_while_something_moves_and_one_at_a_time(chromium, tmp_p
           const { ask } = viewer;
           const asked = [];
           let [at, most] = [0, 0];
-          viewer.pace.whole = 1500; // as of a slow machine
+          Object.assign(viewer.pace, { whole: 1500, took: () => {} }); // as of a slow machine, whatever this one does
           viewer.ask = async (look) => {
             at += 1;
             most = Math.max(most, at);
@@ -105,6 +105,17 @@ def test_coarse_pictures_while_something_moves_and_one_at_a_time(chromium, tmp_p
           while (viewer.asking || viewer.wanted || viewer.pace.moving || viewer.pace.coarse) await new Promise((done) => { setTimeout(done, 20); });
           return { asked, most, wide: viewer.box.width };
         }""")
+        told = page.evaluate("""() => {
+          const { pace } = window.torchmat.viewer;
+          delete pace.took;
+          Object.assign(pace, { pictures: 0, whole: 400 });
+          return [[1, 60000], [0.5, 200], [1, 400], [0.5, 100]].map(([share, took]) => {
+            pace.coarse = false;
+            pace.took(share, took);
+            return [pace.whole, pace.coarse];
+          });
+        }""")
+        assert told == [[400, False], [800, True], [600, False], [500, True]]  # the first waits for what is loaded
         sizes = [size for size, _, _ in found["asked"]]
         assert found["most"] == 1 and len(sizes) < 60  # the newest wish wins: those between were never asked for
         assert sizes[0] < 0.6 * sizes[-1] and sizes[-1] == max(sizes) and found["asked"][-1][1] == 60

@@ -9,13 +9,14 @@ const MOVING = 150; // milliseconds that a picture may take while something move
 const RESTING = 1500; // and at rest
 const REST = 220; // milliseconds without a change until the full picture is asked for
 const LEAST = 0.2;
+const FINER = 1.25;
 const MOST = 640; // pixels along the longer side
 const START = 400; // milliseconds of a full picture: a guess until one was timed
 
 /** How finely to ask for pictures, by how long they take. */
 class Pace {
   constructor(rested) {
-    Object.assign(this, { rested, moving: false, whole: START, coarse: true });
+    Object.assign(this, { rested, moving: false, whole: START, coarse: true, pictures: 0 });
   }
 
   stir() {
@@ -33,8 +34,13 @@ class Pace {
     return Math.max(LEAST, Math.min(1, Math.sqrt((this.moving ? MOVING : RESTING) / this.whole)));
   }
 
+  /** The first picture waits for all that makes pictures to be loaded, which says nothing of those to come; the second ends the guess. */
   took(share, milliseconds) {
-    this.whole = Math.max(1, (this.whole + milliseconds / share ** 2) / 2);
+    const found = Math.max(1, milliseconds / share ** 2);
+    if (this.pictures > 0) this.whole = this.pictures > 1 ? (this.whole + found) / 2 : found;
+    this.pictures += 1;
+    // One that could have been much finer is made anew: each is finer than the last, so that it ends.
+    this.coarse ||= Math.min(1, Math.sqrt(RESTING / this.whole)) > FINER * share;
   }
 
   stop() {
