@@ -45,7 +45,7 @@ def test_reference_colours_are_what_littlecms_makes_of_the_lab_values():
     expected = np.asarray(ImageCms.applyTransform(picture, turn))[0]
     encoded = np.clip(reference_colours(), 0, 1)
     encoded = np.where(encoded <= 0.0031308, 12.92 * encoded, 1.055 * encoded ** (1 / 2.4) - 0.055)
-    assert np.abs(encoded * 255 - expected).max() < 3  # half a unit of Lab
+    assert np.abs(encoded * 255 - expected).max() < 4.5  # half a unit of Lab, which is most in the dark blue
 
 
 def test_the_matrix_of_a_known_camera_is_found_and_white_stays_white():

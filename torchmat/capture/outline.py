@@ -63,9 +63,11 @@ def outline(camera: Camera, pose: Pose, centre: np.ndarray, radius: float, point
 
 
 def refined_centre(
-    grey: np.ndarray, camera: Camera, pose: Pose, centre: np.ndarray, radius: float, reflectance: Reflectance | None = None
+    grey: np.ndarray, camera: Camera, pose: Pose, centre: np.ndarray, radius: float, reflectance: Reflectance | None = None,
+    corner: np.ndarray | None = None,
 ) -> Placed | None:
-    """Return where a photograph `grey` [H, W] shows a sphere that should stand at `centre` [3] in mm; None where it does not tell.
+    """Return where a photograph `grey` [H, W], or its part from a `corner` (column, row) on, shows a sphere that should stand at
+    `centre` [3] in mm; None where it does not tell.
 
     The sphere stands on the paper, so that two numbers are sought. Edges are looked for across the expected outline; the
     shift on which most of the outline agrees wins, for mirrors have edges of reflections inside theirs and shadows outside,
@@ -83,7 +85,8 @@ def refined_centre(
     reach = _REACH * float(np.abs(slope).max())
     offsets = np.arange(-reach, reach + _STEP, _STEP)
     places = around[:, None] + offsets[:, None] * normal[:, None]
-    inside = ((places >= 0) & (places <= np.array(grey.shape[::-1]) - 1)).all((1, 2))
+    first = np.zeros(2) if corner is None else corner
+    inside = ((places >= first) & (places <= first + np.array(grey.shape[::-1]) - 1)).all((1, 2))
     if inside.mean() < _LEAST_SHARE:
         return None
     printed = np.zeros(places[inside].shape[:-1], bool)
@@ -92,7 +95,7 @@ def refined_centre(
         hit = pose.position - ray * (pose.position[2] / np.minimum(ray[..., 2:], -1e-6))
         change = np.abs(np.gradient(reflectance(hit[..., 0], hit[..., 1]), axis=1)) > 0.01
         printed = maximum_filter1d(change, 2 * int(_PRINT / _STEP) + 1, axis=1)
-    edges = _edges(grey, places[inside], offsets, printed)
+    edges = _edges(grey, places[inside] - first, offsets, printed)
     return _fitted(edges, slope[inside], centre)
 
 
