@@ -17,6 +17,8 @@ _BLOCKS = 48  # along the longer side of a flat field
 _ROUNDS = 12
 _TUKEY = 4.0
 _DARKEST = 1e-6
+LENSES = np.array([0.5, 0.2, 0.1])  # standard deviations of the terms of real lenses' vignetting: what paper leaves open is decided by them
+_ALIKE = 9.0  # neighbouring points share their errors: about one in so many counts
 _REACH = 0.55  # of the half diagonal that the paper must reach, or vignetting is not looked for
 
 
@@ -37,7 +39,7 @@ class Vignetting:
 
     def at(self, pixels: np.ndarray) -> np.ndarray:
         """Return the brightness [...] at pixels [..., 2] (column, row)."""
-        return np.exp(_terms(self.size, pixels, self.radial) @ self.weights)
+        return np.exp(vignetting_terms(self.size, pixels, self.radial) @ self.weights)
 
     @property
     def corner(self) -> float:
@@ -58,7 +60,8 @@ class Vignetting:
         return planes / shade[0, 0].to(planes.dtype)
 
 
-def _terms(size: tuple[int, int], pixels: np.ndarray, radial: bool) -> np.ndarray:
+def vignetting_terms(size: tuple[int, int], pixels: np.ndarray, radial: bool) -> np.ndarray:
+    """Return what a vignetting's logarithm is a sum of [..., m] at pixels [..., 2]: powers of the radius, or of column and row."""
     away = (pixels - (np.array(size) - 1) / 2) / (np.hypot(*size) / 2)
     if radial:
         square = (away**2).sum(-1)
@@ -83,7 +86,7 @@ def flat_field(linear: Tensor, clipped: Tensor) -> Vignetting:
     level = blocks.ravel()
     if level.min() < 0.02:
         raise RangeError(message("flat field", "the photograph", "be of lit white", f"its darkest part is {level.min():.3g}", "Expose more."))
-    design = np.column_stack((np.ones(len(level)), _terms((width, height), pixels, False)))
+    design = np.column_stack((np.ones(len(level)), vignetting_terms((width, height), pixels, False)))
     weights, _, off = _robust(design, np.log(level))
     share = float((np.abs(off) > 0.05).mean())
     if share > 0.1:
@@ -92,16 +95,17 @@ def flat_field(linear: Tensor, clipped: Tensor) -> Vignetting:
     return Vignetting((width, height), weights[1:], False, float(off.std() / np.sqrt(len(off) / design.shape[1])), "a flat field")
 
 
-def _robust(design: np.ndarray, target: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return weights, their covariance and residuals of least squares with Tukey's weights."""
-    trust = np.ones(len(target))
+def _robust(design: np.ndarray, target: np.ndarray, prior: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return weights, their covariance and residuals of least squares with Tukey's weights; `prior` is 1 / variance of the weights."""
+    trust, spread = np.ones(len(target)), 0.02
     for _ in range(_ROUNDS):
         normal = design.T @ (trust[:, None] * design)
-        found = np.linalg.solve(normal + 1e-12 * np.trace(normal) * np.eye(len(normal)), design.T @ (trust * target))
+        normal += np.diag(1e-12 * np.trace(normal) + (0 if prior is None else prior * spread**2 * _ALIKE) + np.zeros(len(normal)))
+        found = np.linalg.solve(normal, design.T @ (trust * target))
         off = target - design @ found
         spread = max(1.4826 * float(np.median(np.abs(off))), 1e-6)
         trust = np.clip(1 - (off / (_TUKEY * spread)) ** 2, 0, 1) ** 2
-    return found, np.linalg.inv(normal + 1e-12 * np.trace(normal) * np.eye(len(normal))) * spread**2, off
+    return found, np.linalg.inv(normal) * spread**2 * _ALIKE, off
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,17 +148,19 @@ def fit_courses(
         colours = colours - np.log(known.at(pixel))[:, None]
     place = np.concatenate(points)[:, :2] / 100
     own = np.column_stack((np.ones(len(place)), place)) if sloped else np.ones((len(place), 1))
-    radial = _terms(size, pixel, True)
+    radial = vignetting_terms(size, pixel, True)
     seeks = known is None and np.sqrt(radial[:, 0].max(initial=0)) > _REACH
     design = np.zeros((len(place), len(counts) * own.shape[1] + (_ORDERS if seeks else 0)))
     for column in range(own.shape[1]):
         design[np.arange(len(place)), where * own.shape[1] + column] = own[:, column]
     if seeks:
         design[:, -_ORDERS:] = radial
-    found, covariance, off = _robust(design, colours.mean(1))
+    prior = np.zeros(design.shape[1])
     if seeks:
-        # At the corner, r = 1, all terms are 1. Neighbouring points share their errors: about one in nine counts.
-        sigma = float(np.sqrt(covariance[-_ORDERS:, -_ORDERS:].sum() * 9))
+        prior[-_ORDERS:] = 1 / LENSES**2
+    found, covariance, off = _robust(design, colours.mean(1), prior)
+    if seeks:
+        sigma = float(np.sqrt(covariance[-_ORDERS:, -_ORDERS:].sum()))  # at the corner, r = 1, all terms are 1
         known = Vignetting(size, found[-_ORDERS:], True, sigma, "the board's white paper")
         colours = colours - (radial @ found[-_ORDERS:])[:, None]
     slopes = found[: len(counts) * own.shape[1]].reshape(len(counts), -1)[:, 1:] / 100

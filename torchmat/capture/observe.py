@@ -60,7 +60,7 @@ def _observed(scene: Scene, places: Places, index: int) -> Observed:
     developed = scene.photographs[index].developed()
     linear, clipped = developed.linear.numpy(), developed.clipped.numpy()
     radius = board.diameter / 2
-    readings = [read_paper(linear, clipped, camera, pose, points, board.sphere_centres, radius) for points in places]
+    paper, white, grey = (read_paper(linear, clipped, camera, pose, points, board.sphere_centres, radius) for points in places)
     cutouts: list[Cutout | None] = []
     placed: list[Placed | None] = []
     for centre in board.sphere_centres:
@@ -71,10 +71,11 @@ def _observed(scene: Scene, places: Places, index: int) -> Observed:
         low, high = np.maximum(low, 0), np.minimum(high, camera.size)
         whole = (around >= 0).all() and (around <= np.array(camera.size) - 1).all()
         if not whole:
-            cutouts.append(None), placed.append(None)
+            cutouts.append(None)
+            placed.append(None)
             continue
         window = (slice(low[1], high[1]), slice(low[0], high[0]))
         part = np.ascontiguousarray(linear[:, *window])
         cutouts.append(Cutout(low, part, clipped[window].copy()))
         placed.append(refined_centre(part.mean(0), camera, pose, centre, radius, board.reflectance, low))
-    return Observed(*readings, tuple(cutouts), tuple(placed), developed.notes)
+    return Observed(paper, white, grey, tuple(cutouts), tuple(placed), developed.notes)

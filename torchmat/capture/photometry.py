@@ -13,13 +13,13 @@ from torch import Tensor
 from torchmat.capture.board import WHITE
 from torchmat.capture.chart import Colour, find_chart, fit_colour, read_chart
 from torchmat.capture.develop import develop
-from torchmat.capture.evenness import Course, Vignetting, fit_courses, flat_field
+from torchmat.capture.evenness import Course, Vignetting, fit_courses, flat_field, vignetting_terms
 from torchmat.capture.light import Light, blocked
 from torchmat.capture.lights import flash, lights_of_table
 from torchmat.capture.observe import Observed, Places, observe, places_of
 from torchmat.capture.photographs import photograph
 from torchmat.capture.scene import Scene, Step
-from torchmat.capture.shading import lamp_of_shading
+from torchmat.capture.shading import lamps_of_shading
 from torchmat.capture.sphere_lights import SphereLights, lights_of_spheres
 from torchmat.capture.told import colour_step, lights_step, vignetting_step, white_step
 from torchmat.capture.white import White, calibrate_white
@@ -27,6 +27,8 @@ from torchmat.errors import DataError, FitError, check_option, message
 
 LIGHTS = ("auto", "spheres", "flash", "shading")
 _LEAST_PAPER = 30  # points of white paper in a photograph
+_UNEXPLAINED = 0.3  # relative, in a corner of the window: light that is so much stronger there comes from elsewhere
+_DEVIATES = 0.04  # relative rms of paper about what lamps, lens and a slope explain
 _LEAST_PATCH = 0.5  # of a patch's points that must be good
 
 
@@ -139,6 +141,7 @@ def photometry(scene: Scene, options: PhotometryOptions | None = None, show: boo
         fact, step = f"the first of {len(faults)}: {faults[0]}", "Give the lights, or see what each photograph lacks."
         raise FitError(message("capture", "photographs", "have a light that can be found", fact, step))
     courses, vignetting = _courses(scene, options, places, observed, lights, faults, spheres, known)
+    _check_explained(scene, courses, faults)
     whites = _whites(scene, options, places, observed, lights, courses, vignetting, faults, spheres)
     calibrated = Calibrated(lights, faults, courses, vignetting, whites, colour, spheres, scene.board.diameter / 2)
     return _with_steps(calibrated, scene, observed, found)
@@ -177,18 +180,14 @@ def _other_lights(
     if kind != "shading":
         given: list[Light | None] = list(lights_of_table(kind, names, positions=options.positions, distance=options.distance))
         return given, [""] * len(names)
-    lights: list[Light | None] = []
-    faults = []
-    for name, one in zip(names, observed, strict=True):
-        good = one.paper.good
-        values = one.paper.values[good].mean(1) / (1 if known is None else known.at(one.paper.pixels[good]))
-        try:
-            lights.append(lamp_of_shading(name, places.paper[good], values))
-            faults.append("")
-        except DataError as error:
-            lights.append(None)
-            faults.append(str(error))
-    return lights, faults
+    goods = [one.paper.good for one in observed]
+    pixels = [one.paper.pixels[good] for one, good in zip(observed, goods, strict=True)]
+    values = [one.paper.values[good].mean(1) for one, good in zip(observed, goods, strict=True)]
+    if known is not None:
+        values = [value / known.at(pixel) for value, pixel in zip(values, pixels, strict=True)]
+    size = scene.cameras[0].size
+    terms = [vignetting_terms(size, pixel, True) if known is None else np.zeros((len(pixel), 0)) for pixel in pixels]
+    return lamps_of_shading(names, [places.paper[good] for good in goods], values, terms)
 
 
 def _unlit(scene: Scene, index: int, observed: Observed) -> str:
@@ -218,7 +217,20 @@ def _courses(
         good = one.paper.good & _lit(places.paper, light, spheres, scene.board.diameter / 2)
         points = places.paper[good]
         rows.append((points, one.paper.pixels[good], one.paper.values[good], light.irradiance(points)))
-    return fit_courses(scene.cameras[0].size, *(list(column) for column in zip(*rows, strict=True)), known, not options.even)
+    points, pixels, values, expected = (list(column) for column in zip(*rows, strict=True))
+    return fit_courses(scene.cameras[0].size, points, pixels, values, expected, known, not options.even)
+
+
+def _check_explained(scene: Scene, courses: Sequence[Course], faults: Sequence[str]) -> None:
+    """Raise FitError when the paper of most photographs is lit otherwise than their lamps explain."""
+    corner = scene.board.window[2:]
+    uneven = {one.name: float(np.abs(course.slope) @ corner) for one, course, fault in zip(scene.photographs, courses, faults, strict=True) if not fault}
+    residual = float(np.median([course.residual for course, fault in zip(courses, faults, strict=True) if not fault]))
+    if np.median(list(uneven.values())) > _UNEXPLAINED or residual > _DEVIATES:
+        name = max(uneven, key=lambda one: uneven[one])
+        fact = f"it is {100 * np.median(list(uneven.values())):.0f} % stronger to one side (median; most in {name}) and deviates by {100 * residual:.1f} % rms"
+        step = "Check where the lights are said to be, their axes, and which photograph each belongs to."
+        raise FitError(message("capture", "the lights", "explain how the board's paper is lit", fact, step))
 
 
 def _whites(
@@ -235,4 +247,5 @@ def _whites(
                 even = 1.0 if vignetting is None else vignetting.at(reading.pixels[good])
                 paper = light.irradiance(points[good]) * courses[index].at(points[good]) * even
                 shares[kind, index] = np.median(reading.values[good] / (paper[:, None] * courses[index].level), axis=0)
-    return calibrate_white(np.stack([one.level for one in courses]), *shares, options.white, options.grey)
+    white, grey = shares
+    return calibrate_white(np.stack([one.level for one in courses]), white, grey, options.white, options.grey)

@@ -18,6 +18,7 @@ from torchmat.capture.white import White
 from torchmat.colour import display
 
 _SHOWN = 6  # photographs whose highlights are shown
+_UNEVEN = 0.2  # relative, in a corner of the window, of which it is said
 _SIDE = 160  # pixels of a picture of a sphere
 _MARK = (1.0, 0.2, 0.1)
 
@@ -88,16 +89,20 @@ def vignetting_step(scene: Scene, vignetting: Vignetting | None, courses: Sequen
     residual = f"paper deviates by {100 * np.median([course.residual for course in kept]):.2f} % rms (median), {100 * max(course.residual for course in kept):.2f} at most"
     light = f"light up to {uneven:.1f} % stronger in a corner of the window than its distance explains"
     rows = [(one.name, *(100 * course.slope), 100 * course.residual) for one, course, fault in zip(scene.photographs, courses, faults, strict=True) if not fault]
+    notes = [
+        f"{one.name}: light is {100 * float(np.abs(course.slope) @ corner[:2]):.0f} % stronger to one side than its lamp explains"
+        for one, course, fault in zip(scene.photographs, courses, faults, strict=True) if not fault and np.abs(course.slope) @ corner[:2] > _UNEVEN
+    ]
     header = ("photograph", "% a mm to the right", "% a mm up", "residual in %")
     if vignetting is None:
         note = "the board's paper does not reach far enough to tell vignetting: none is taken out; give a flat field"
-        return Step("evenness", light, residual, {"vignetting": None}, header, rows, notes=(note,))
+        return Step("evenness", light, residual, {"vignetting": None}, header, rows, notes=(note, *notes))
     found = f"corners keep {100 * vignetting.corner:.1f} % (known to {100 * vignetting.sigma:.1f}), from {vignetting.how}; {light}"
     width, height = vignetting.size
     small = np.stack(np.meshgrid(np.linspace(0, width - 1, 240), np.linspace(0, height - 1, round(240 * height / width))), axis=-1)
     picture = torch.from_numpy(vignetting.at(small)).float().clamp(0, 1).expand(3, -1, -1)
     figures = {"corner": vignetting.corner, "sigma": vignetting.sigma, "weights": vignetting.weights.tolist(), "from": vignetting.how}
-    return Step("evenness", found, residual, figures, header, rows, {"What the lens keeps of even light": picture})
+    return Step("evenness", found, residual, figures, header, rows, {"What the lens keeps of even light": picture}, notes)
 
 
 def white_step(scene: Scene, white: White, courses: Sequence[Course], faults: Sequence[str], notes: Sequence[str]) -> Step:
