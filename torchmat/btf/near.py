@@ -95,6 +95,16 @@ class Near:
         away, square = self._away(position[samples].to(dtype))
         return away.mul_(square.rsqrt_())
 
+    def at(self, which: str, samples: Tensor, texels: Tensor, dtype: torch.dtype) -> Tensor | None:
+        """Return the unit directions of samples [k] at texels of numbers [t], [k, 3, t]; None of what is far."""
+        position = self.positions(which)
+        if position is None:
+            return None
+        x, y = self.grid.places(dtype)
+        z = torch.zeros_like(texels, dtype=dtype) if self.height is None else self.height.flatten()[texels].to(dtype)
+        place = torch.stack((x[texels % self.grid.columns], y[texels // self.grid.columns], z))
+        return unit(position[samples].to(dtype)[:, :, None] - place)
+
     def gain(self, samples: Tensor, dtype: torch.dtype) -> Tensor | None:
         """Return what images [k, 3, H, W] are multiplied with, [k, 1, H, W], which takes the fall-off out; None: nothing."""
         if self.light is None or not self.falloff:
@@ -163,7 +173,7 @@ def far_only(where: str, near: Near | None) -> None:
 
 
 def unit(position: Tensor) -> Tensor:
-    """Return vectors [n, 3] at length 1; of one that has none NaN."""
+    """Return vectors [n, 3, ...] at length 1; of one that has none NaN."""
     scaled = position / position.abs().amax(dim=1, keepdim=True)  # or squares of what is far away leave the range of numbers
     return scaled / scaled.norm(dim=1, keepdim=True)
 

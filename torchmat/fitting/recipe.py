@@ -6,7 +6,7 @@ import inspect
 import typing
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields, replace
-from typing import Any
+from typing import Any, Literal
 
 from torch import Tensor
 
@@ -14,6 +14,7 @@ from torchmat.btf.near import far_only
 from torchmat.errors import RangeError, check_option, message
 from torchmat.fitting.geometry import FLAT, GEOMETRIES
 from torchmat.fitting.models.any_model import descend, fit_by_descent
+from torchmat.fitting.models.centred import fit_centred
 from torchmat.fitting.objective import LINEAR, check_objective
 from torchmat.fitting.relief.surface import Surface
 from torchmat.fitting.shared import Shared
@@ -22,6 +23,7 @@ from torchmat.models import MATERIALS, Material, register_material
 from torchmat.models.storage import StoredAs
 from torchmat.solvers import DESCENTS, SOLVERS, Solver, Stepping, as_solver
 
+CENTRED = "centred"
 AUTO = "auto"  # not a model: the choice among them
 
 
@@ -127,7 +129,8 @@ class Recipe:
         ladder: how the choice builds the model part by part; None if it does not.
         compared: options of its rows in a comparison ("terms=9"; empty is none).
         near: whether `fit` and `on_relief` ask each texel's own directions (``training.planes(samples)``), so that near lights and
-            cameras are right; without it such data is refused. What descends from `start` always does.
+            cameras are right. "centred" gives `fit` images that were brought to the directions at the centre (`fitting.models.centred`).
+            Without it such data is refused. What descends from `start` always asks.
         solvers_differ: whether a comparison has a row for each further solver, where none is the obvious one.
         bytes_per_texel: what the maps take by default, in words, for lists of models; empty where unknown.
         by_luminance: maps that `fit` finds from the luminance of the samples alone, for their standard errors.
@@ -148,7 +151,7 @@ class Recipe:
     rungs: tuple[Rung, ...] = ()
     ladder: Ladder | None = None
     compared: tuple[str, ...] = ("",)
-    near: bool = False
+    near: bool | Literal["centred"] = False
     solvers_differ: bool = False
     bytes_per_texel: str = ""
     by_luminance: tuple[str, ...] = ()
@@ -247,10 +250,11 @@ class Recipe:
             begun = Fitted(material, shared=Shared({name: material.maps[name].detach() for name in tables}))
             return descend(training, begun, solver, objective)
         assert self.fit is not None
+        way = fit_centred(self.fit) if self.near == CENTRED else self.fit
         if solver.name not in self.solvers:
             assert isinstance(solver, Stepping)
-            return fit_by_descent(training, self.fit, solver, {**self.stepping, **options}, objective)
-        return self.fit(training, **options, **_taken(self.fit, solver=solver, objective=objective))
+            return fit_by_descent(training, way, solver, {**self.stepping, **options}, objective)
+        return way(training, **options, **_taken(self.fit, solver=solver, objective=objective))
 
     def run_on_relief(self, surface: Surface, height: Tensor, options: Mapping[str, Any]) -> Fitted | None:
         """Fit the model over a relief in its own way; None where these options take the way of all models."""

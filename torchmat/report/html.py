@@ -16,7 +16,7 @@ from torchmat.report.map_cards import MOST, MapCard
 from torchmat.report.page import Markup, Picture, code, details, figure, listed, page, paragraph, plot, section, table, text
 from torchmat.report.pictures import DIFFERENCE_COLOURS, LARGEST, colour_strip, thinned
 from torchmat.report.samples import Shown, difference_range
-from torchmat.report.tables import INTERVAL, interval_text, measured_rows, number, object_text, scene_rows, test_text
+from torchmat.report.tables import INTERVAL, interval_text, measured_rows, near_text, number, object_text, scene_rows, test_text
 from torchmat.report.verdict import verdict
 from torchmat.report.words import FIGURES, GEOMETRIES, PARTS, SPLITS, spaced, stopped
 
@@ -175,6 +175,7 @@ def _data(report: Mapping[str, Any]) -> list[list[Any]]:
         ["invalid, of all values", f"{100 * source['invalid_share']:.3g} %"],
         ["held out", f"{100 * report['holdout']:.3g} % of the photographs, by {SPLITS.get(report['holdout_by'], report['holdout_by'])}"],
         *([["tested on", test_text(report["test_source"])]] if "test_source" in report else []),
+        *([["near", near_text(source["near"]["meaning"], report["figures"].get("near"))]] if "near" in source else []),
         *([["object", object_text(source["object"]["mask"], source["object"]["share"])]] if "object" in source else []),
         *([row[0], row[1]] for row in measured_rows(dict(report))),
     ]

@@ -42,6 +42,11 @@ def _plain(value: Any) -> Any:
     return value
 
 
+def near_text(meaning: str, brought: str | None = None) -> str:
+    """Return a line on near lights and cameras, and what was done for a model that has one direction an image."""
+    return meaning if brought is None else f"{meaning}; {brought}"
+
+
 def object_text(mask: str, share: float) -> str:
     """Return what an object mask says, in words."""
     return f"{100 * share:.1f} % of the texels, by {mask}; the others count nowhere"

@@ -103,13 +103,29 @@ class _Fit:
         self.solver = replace(solver.filled(steps=steps, rate=_RATE), batch=self.batch)
         counts = training.used if training.importance is None else training.used & (training.importance > 0)
         self.rows = counts.nonzero()[:, 0]
-        known = angles(training.light[self.rows].to(training.dtype), training.view[self.rows].to(training.dtype))
-        self.known = known[:, :, :, 0].movedim(1, 0).contiguous()  # [8, sample, 1]
+        self.known = None if btf.near is not None else self._known_of_all()
         self.level = self._mean_value()
         self.objective = None if objective == ROOT else Objective(objective, self.level)
         self._start(generator)
         self.pool: _Pool | None = None
         self.turn = 0
+
+    def _known_of_all(self) -> Tensor:
+        """Return what the network is told of the directions of all samples, [8, sample, 1]."""
+        known = angles(*self.training.planes(self.rows))
+        return known[:, :, :, 0].movedim(1, 0).contiguous()
+
+    def _known(self, rows: Tensor, texels: slice) -> Tensor:
+        """Return what the network is told of the directions of samples [k], [8, k, 1], or of each of some texels, [8, k, t]."""
+        if self.known is not None:
+            return self.known[:, rows]
+        btf, dtype, sample = self.training.btf, self.training.dtype, self.rows[rows]
+        assert btf.near is not None
+        planes = []
+        for which, far in zip(("light", "view"), (btf.light, btf.view), strict=True):
+            found = btf.near.at(which, sample, self.order[texels], dtype)
+            planes.append(far[sample].to(dtype)[:, :, None, None] if found is None else found[:, :, None])
+        return angles(*planes)[:, :, 0].movedim(1, 0).contiguous()
 
     def _mean_value(self) -> float:
         """Return the mean of some images, the unit that the network works in."""
@@ -179,7 +195,7 @@ class _Fit:
         assert self.pool is not None and chosen is not None
         target, weight = self.pool.root[chosen, :, texels], self.pool.weight[chosen, :, texels]
         with torch.enable_grad():
-            known = self.known[:, self.pool.rows[chosen]]
+            known = self._known(self.pool.rows[chosen], texels)
             root = root_of_value(self.latents[group], known, self.tables, _Product.apply)
             if self.objective is not None:
                 return self._step_toward(self.objective, root.movedim(0, 1), target, weight)
@@ -212,7 +228,7 @@ class _Fit:
 
 _REFUSED = ("has one network for all texels", "Leave tile_size, memory_mb and work out: it holds only some of the images and texels at a time.")
 NEURAL = Recipe(
-    Neural, fit_neural, bytes_per_texel="8", solvers=("minibatch",), descends=False, objective=ROOT,
+    Neural, fit_neural, near=True, bytes_per_texel="8", solvers=("minibatch",), descends=False, objective=ROOT,
     quick={"effort": 0.1}, rungs=(Rung("network", "neural", 8, last=True),),
     tiling=Tiling(refused=_REFUSED), geometry=RECOVER,
 )

@@ -336,7 +336,7 @@ def _lloyd(points: Tensor, label: Tensor, clusters: int, components: int) -> tup
 # Their tables hold a number for each measured sample: a start that has them all is a factorisation, the answer itself.
 # Images that are few are decoded once and kept.
 PCA = Recipe(
-    Pca, fit_pca, bytes_per_texel="96", descends=False, compared=("components=8", "components=16"),
+    Pca, fit_pca, near="centred", bytes_per_texel="96", descends=False, compared=("components=8", "components=16"),
     tiling=Tiling(kept_mb=260.0),
 )
-LOCAL_PCA = Recipe(LocalPca, fit_local_pca, bytes_per_texel="17", descends=False, tiling=Tiling(kept_mb=260.0))
+LOCAL_PCA = Recipe(LocalPca, fit_local_pca, near="centred", bytes_per_texel="17", descends=False, tiling=Tiling(kept_mb=260.0))

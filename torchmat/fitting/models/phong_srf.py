@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import math
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
 
 from torchmat.errors import FitError, RangeError, check_option, message
+from torchmat.fitting.models.by_cell import cells_of
+from torchmat.fitting.models.by_texel import fit_texels
 from torchmat.fitting.models.linear import design_of
 from torchmat.fitting.models.lobe import LobeProblem, by_differences, fit_lobe, limits_of, lobe_limits
 from torchmat.fitting.models.streamed import Moments, solve_texels, stream_means, stream_moments
@@ -16,6 +19,7 @@ from torchmat.fitting.shared import Shared
 from torchmat.fitting.training import Fitted, Training
 from torchmat.metrics import relative
 from torchmat.models import PhongSrf
+from torchmat.models.bases import BASES
 from torchmat.models.lobes import LOBES, Lobe
 from torchmat.models.phong_srf import RESIDUALS
 from torchmat.models.storage import StoredAs
@@ -58,13 +62,15 @@ def fit_phong_srf(
             residual can follow, which is the least error of lobe and residual together.
     """
     _check_options(residual, phong, base, ridge)
+    if training.btf.near is not None:
+        return _fit_near(training, residual, phong, base, ridge, solver, storage)
     design = design_of(training, residual, ridge)
     moments = stream_moments(training.btf, design, training.used, training.dtype, training.progress)
     lobe = LOBES[base]
     parameters, reason, figures = training.table("lobe"), CLOSED_FORM, {}
     if parameters is None:
         means, left_out = _common_means(training, moments)
-        parameters, reason, errors = _global_lobe(training, means, lobe, phong, solver)
+        parameters, reason, errors = _global_lobe(_seen_of(training, means), lobe, phong, solver)
         figures = {"lobe_error_on_mean_brdf": errors, "texels_left_out_of_lobe": left_out}
         if isinstance(solver, VariableProjection):
             parameters, reason = _beside_residual(training, means, design, lobe, parameters, solver)
@@ -76,24 +82,80 @@ def fit_phong_srf(
     return Fitted(material, reason, solved.coverage, figures, shared=Shared({"lobe": parameters}))
 
 
+def _fit_near(
+    training: Training, residual: str, phong: str, base: str, ridge: float, solver: LevenbergMarquardt, storage: str
+) -> Fitted:
+    """Fit the same where each texel has directions of its own: the lobe to means of cells, the residual texel by texel."""
+    if isinstance(solver, VariableProjection):
+        step = "Use solver='lm', or btf.far()."
+        fact = "lights or cameras are near"
+        raise RangeError(message("fit phong_srf", "solver='varpro'", "have directions that all texels share", fact, step))
+    lobe, parameters, reason = LOBES[base], training.table("lobe"), CLOSED_FORM
+    figures: dict[str, Any] = {}
+    if parameters is None:
+        common = _common_texels(_brightness(training), training.btf.mask)
+        cells = cells_of(training, common)
+        groups = training.btf.light_index[cells.sample]
+        seen = _Seen(cells.light, cells.view, cells.values, cells.importance, groups, _FEWEST_VIEWS * len(cells.sample) // int(training.used.sum()))
+        parameters, reason, errors = _global_lobe(seen, lobe, phong, solver)
+        figures = {"lobe_error_on_mean_brdf": errors, "texels_left_out_of_lobe": int((~common).sum())}
+    terms, evaluate = BASES[residual]
+    shared: Tensor = parameters
+    solved = fit_texels(
+        training, len(terms), evaluate, ridge, explained=lambda light, view: lobe.evaluate(shared.double(), light, view)
+    ).fit
+    maps = {"lobe": parameters.to(training.dtype), "residual": solved.coefficients.flatten(0, 1)}
+    material = PhongSrf(maps, residual=residual, base=base, storage=storage)
+    figures = {"lobe": material.parameters_by_name, **figures}
+    return Fitted(material, reason, solved.coverage, figures, shared=Shared({"lobe": parameters}))
+
+
+def _brightness(training: Training) -> Tensor:
+    """Return the sum of what each texel shows, [H, W] of the brightest channel."""
+    total = torch.zeros(3, training.btf.height, training.btf.width, dtype=training.dtype)
+    for block in training.btf.blocks(training.used, training.dtype):
+        used = training.used[block.samples.start : block.samples.stop, None, None, None]
+        total += (block.images * (used if block.weight is None else used * block.weight)).sum(dim=0)
+    return total.abs().amax(dim=0)
+
+
+class _Seen(NamedTuple):
+    """What a lobe is fitted to: planes `light`, `view` [m, 3, 1, 1], `values` [m, 3], what each counts [m] (None: all alike), and
+    of which light each is, [m]; `fewest` are enough for a lobe of a light's own."""
+
+    light: Tensor
+    view: Tensor
+    values: Tensor
+    importance: Tensor | None
+    group: Tensor
+    fewest: int
+
+
+def _seen_of(training: Training, means: Tensor) -> _Seen:
+    used = training.used
+    light, view = training.light[used].double(), training.view[used].double()
+    importance = None if training.importance is None else training.importance[used]
+    return _Seen(light, view, means[used], importance, training.btf.light_index[used], _FEWEST_VIEWS)
+
+
 def _common_means(training: Training, moments: Moments) -> tuple[Tensor, int]:
     """Return the mean colours [n, 3] over the texels that share the material's lobe, and how many others there are."""
-    common = _common_texels(moments, training.btf.mask)
+    common = _common_texels(moments.product.abs().amax(dim=(0, 1)), training.btf.mask)
     if bool(common.all()):
         return moments.means, 0
     return stream_means(training.btf, training.used, common, training.dtype), int((~common).sum())
 
 
 def _global_lobe(
-    training: Training, means: Tensor, lobe: Lobe, phong: str, solver: LevenbergMarquardt
+    seen: _Seen, lobe: Lobe, phong: str, solver: LevenbergMarquardt
 ) -> tuple[Tensor, str, dict[str, float | None]]:
     """Return the parameters of the lobe that all texels share, the stop reason, and the error by each way to find it."""
-    ways = _fit_lobe(training, means, lobe, phong, solver)
+    ways = _fit_lobe(seen, lobe, phong, solver)
     if phong not in ways:
         step = "Use phong='mean_brdf'."
         fact = f"no light has {_FEWEST_VIEWS} views among the fitted samples"
         raise FitError(message("fit phong_srf", "phong='per_light'", "have lights with at least 3 views", fact, step))
-    errors = {way: _relative_error(training, means, lobe, found) for way, (found, _) in ways.items()}
+    errors = {way: _relative_error(seen, lobe, found) for way, (found, _) in ways.items()}
     return *ways[phong], {way: errors.get(way) for way in PHONG_WAYS}
 
 
@@ -141,41 +203,35 @@ def _check_options(residual: str, phong: str, base: str, ridge: float) -> None:
         raise RangeError(message("fit phong_srf", "ridge", "be at least 0 and finite", f"it is {ridge}"))
 
 
-def _common_texels(moments: Moments, mask: Tensor | None) -> Tensor:
-    """Return which texels share the material's lobe, bool [H, W]: all, or all but a few far brighter ones."""
-    size = moments.product.abs().amax(dim=(0, 1))
+def _common_texels(size: Tensor, mask: Tensor | None) -> Tensor:
+    """Return which texels, of brightness `size` [H, W], share the material's lobe, bool [H, W]: all, or all but a few far brighter ones."""
     known = size.flatten() if mask is None else size[mask]
     bound = known.kthvalue(known.numel() - known.numel() // _TRIMMED).values
     return size <= _OUTLYING * known[known <= bound].double().mean()
 
 
-def _relative_error(training: Training, means: Tensor, lobe: Lobe, parameters: Tensor) -> float | None:
-    used = training.used
-    light, view = training.light[used].double(), training.view[used].double()
-    predicted = lobe.evaluate(parameters, light, view)[:, :, 0, 0]
-    return relative(float((predicted - means[used]).square().sum()), float(means[used].square().sum()))
+def _relative_error(seen: _Seen, lobe: Lobe, parameters: Tensor) -> float | None:
+    predicted = lobe.evaluate(parameters, seen.light, seen.view)[:, :, 0, 0]
+    return relative(float((predicted - seen.values).square().sum()), float(seen.values.square().sum()))
 
 
 def _fit_lobe(
-    training: Training, means: Tensor, lobe: Lobe, phong: str, solver: LevenbergMarquardt
+    seen: _Seen, lobe: Lobe, phong: str, solver: LevenbergMarquardt
 ) -> dict[str, tuple[Tensor, str]]:
     """Return (parameters, stop reason) for each way that the data allows; where samples count unlike, for `phong` alone."""
-    used = training.used
-    light, view, values = training.light[used].double(), training.view[used].double(), means[used]
-    importance = None if training.importance is None else training.importance[used]
-    found = {"mean_brdf": fit_lobe(lobe, light, view, values, differences=True, importance=importance, solver=solver)}
-    if importance is not None and phong == "mean_brdf":
+    found = {"mean_brdf": fit_lobe(lobe, *seen[:3], differences=True, importance=seen.importance, solver=solver)}
+    if seen.importance is not None and phong == "mean_brdf":
         return found
-    per_light = _per_light(lobe, training, light, view, values, found["mean_brdf"][0], solver)
+    per_light = _per_light(lobe, seen, found["mean_brdf"][0], solver)
     return found if per_light is None else found | {"per_light": per_light}
 
 
 def _per_light(
-    lobe: Lobe, training: Training, light: Tensor, view: Tensor, values: Tensor, start: Tensor, solver: LevenbergMarquardt
+    lobe: Lobe, seen: _Seen, start: Tensor, solver: LevenbergMarquardt
 ) -> tuple[Tensor, str] | None:
-    groups = training.btf.light_index[training.used]
+    light, view, values, groups = seen.light, seen.view, seen.values, seen.group
     rows = [(groups == number).nonzero()[:, 0] for number in groups.unique()]
-    rows = [part for part in rows if len(part) >= _FEWEST_VIEWS]
+    rows = [part for part in rows if len(part) >= seen.fewest]
     if not rows:
         return None
     longest = max(map(len, rows))
@@ -205,7 +261,7 @@ def _overall(solution: Solution) -> str:
 
 _BRUSHED = {"residual": "cosine", "base": "ashikhmin_shirley"}
 PHONG_SRF = Recipe(
-    PhongSrf, fit_phong_srf, bytes_per_texel="18", solvers=("lm", "varpro"), solvers_differ=True,
+    PhongSrf, fit_phong_srf, near=True, bytes_per_texel="18", solvers=("lm", "varpro"), solvers_differ=True,
     compared=("", "residual=half_light", "residual=quadratic", "base=ashikhmin_shirley"), rungs=(
         Rung("Phong", "phong_srf", 0, {"residual": "cosine"}, {"residual": StoredAs((1, 1))}),
         Rung("Phong + texture", "phong_srf", 3, {"residual": "cosine"}),

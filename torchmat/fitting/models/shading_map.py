@@ -264,6 +264,6 @@ def _curves(training: Training, rows: Tensor, means: Tensor) -> Tensor:
 
 # Slices are sorted by the brightness that the BRDF gives: moving it deals the samples out anew, which has no slope.
 SHADING_MAP = Recipe(
-    ShadingMap, fit_shading_map, bytes_per_texel="48", shared=ShadingMapShared, descends=False,
+    ShadingMap, fit_shading_map, near="centred", bytes_per_texel="48", shared=ShadingMapShared, descends=False,
     compared=("", "brdf=ggx,azimuths=4"),
 )

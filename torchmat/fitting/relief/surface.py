@@ -98,7 +98,8 @@ def _db(share: float) -> float:
     return -10 * math.log10(max(share, 1e-12))
 
 
-def _space(shape: tuple[int, ...], dtype: DTypeLike) -> np.ndarray:
+def space_for(shape: tuple[int, ...], dtype: DTypeLike) -> np.ndarray:
+    """Return an array that is not filled yet: in memory, or where that would be much in a temporary file."""
     if np.prod(shape) * np.dtype(dtype).itemsize <= IN_MEMORY:
         return np.empty(shape, dtype)
     with tempfile.TemporaryFile(prefix="torchmat-") as file:  # the map keeps it alive
@@ -176,8 +177,8 @@ def bring_onto(
     here = window or Window(0, 0, btf.height, btf.width)
     if into is None:
         size = tuple(here.crop(height).shape[-2:])
-        pixels = _space((len(rows), 3, *size), np.float64 if dtype == torch.float64 else np.float32)
-        flags = _space((len(rows), *size), np.uint8)
+        pixels = space_for((len(rows), 3, *size), np.float64 if dtype == torch.float64 else np.float32)
+        flags = space_for((len(rows), *size), np.uint8)
     else:
         pixels, flags = into.pixels, into.flags
     _resample(training, rows, height, here, here.crop(sight.seen), pixels, flags)
@@ -264,7 +265,7 @@ def ambient_and_usual(surface: Surface) -> tuple[Tensor, Tensor]:
 def without_shadow(surface: Surface, ambient: Tensor) -> Training:
     """Return training samples ``(value - ambient) / lit`` of what is lit; the rest has no weight."""
     btf = surface.training.btf
-    pixels, flags = _space(surface.pixels.shape, surface.pixels.dtype), _space(surface.flags.shape, np.uint8)
+    pixels, flags = space_for(surface.pixels.shape, surface.pixels.dtype), space_for(surface.flags.shape, np.uint8)
     for block in btf.blocks(None, surface.training.dtype):
         rows = slice(block.samples.start, block.samples.stop)
         lit = surface.shadow(block.samples)

@@ -12,6 +12,7 @@ from torchmat import safe
 from torchmat.brdf import AnalyticBrdf
 from torchmat.brdf.analytic import ANALYTIC
 from torchmat.errors import RangeError, check_option, message
+from torchmat.fitting.models.by_cell import cells_of
 from torchmat.fitting.models.lobe import fit_lobe
 from torchmat.fitting.models.spheres.problem import Shape, SphereProblem
 from torchmat.fitting.models.streamed import stream_means
@@ -26,6 +27,7 @@ SPHERE_BASES = ("phong", "blinn", "cook_torrance", "ggx")
 _LAST_DEG = PAPER_ANGLES_DEG[-1]
 _FADE = 8  # corrections die out within a so-manieth of a picture
 _STEPS = 60
+_SHADED = 2_000_000  # values at a time, where each texel has directions of its own
 
 
 def fit_sphere_images_to_btf(
@@ -65,12 +67,16 @@ def _pictures(
 ) -> tuple[Tensor, str, dict[str, Any]]:
     """Return the pictures that all texels share, the lobe's stop reason, and figures."""
     btf, used, dtype = training.btf, training.used, training.dtype
-    means = stream_means(btf, used, torch.ones(btf.height, btf.width, dtype=torch.bool), dtype)
-    light, view = training.light[used].double(), training.view[used].double()
-    importance = None if training.importance is None else training.importance[used]
-    parameters, reason = fit_lobe(ANALYTIC[base], light, view, means[used], differences=True, importance=importance)
+    importance: Tensor | None
+    if btf.near is None:
+        means = stream_means(btf, used, torch.ones(btf.height, btf.width, dtype=torch.bool), dtype)[used]
+        light, view = training.light[used].double(), training.view[used].double()
+        importance = None if training.importance is None else training.importance[used]
+    else:
+        light, view, means, importance, _ = cells_of(training)
+    parameters, reason = fit_lobe(ANALYTIC[base], light, view, means, differences=True, importance=importance)
     brdf = AnalyticBrdf.from_parameters(base, parameters)
-    images = _corrected(brdf, angles, size, light, view, means[used], smoothness).to(dtype)
+    images = _corrected(brdf, angles, size, light, view, means, smoothness).to(dtype)
     return images, reason, {"lobe": dict(zip(ANALYTIC[base].names, parameters.tolist(), strict=True))}
 
 
@@ -94,6 +100,8 @@ def _corrected(
 def _tint(training: Training, material: SphereImages) -> tuple[Tensor, Tensor]:
     """Return each texel's least-squares factor [3, H, W] on the material's values, and where it is seen [1, H, W]."""
     btf, dtype = training.btf, training.dtype
+    if btf.near is not None:
+        return _tint_near(training, material)
     size = btf.height * btf.width
     above, below = torch.zeros(3, size, dtype=dtype), torch.zeros(3, size, dtype=dtype)
     for block in btf.blocks(training.used, dtype, training.progress):
@@ -112,4 +120,21 @@ def _tint(training: Training, material: SphereImages) -> tuple[Tensor, Tensor]:
     return tint.unflatten(1, shape), seen.any(dim=0).to(torch.float32).reshape(1, *shape)
 
 
-SPHERE_IMAGES = Recipe(SphereImages, fit_sphere_images_to_btf, bytes_per_texel="6")
+def _tint_near(training: Training, material: SphereImages) -> tuple[Tensor, Tensor]:
+    """Return the same where each texel has directions of its own."""
+    btf, dtype = training.btf, training.dtype
+    above, below = torch.zeros(2, 3, btf.height, btf.width, dtype=dtype)
+    white = material.with_maps(tint=torch.ones(3, btf.height, btf.width, dtype=dtype))
+    for block in btf.blocks(training.used, dtype, training.progress):
+        run = torch.arange(block.samples.start, block.samples.stop)
+        for part in training.used[run].nonzero()[:, 0].split(max(1, _SHADED // above.numel())):
+            value = white.shade(*training.planes(run[part])).detach()
+            weight = torch.ones(len(part), 1, 1, 1, dtype=dtype) if block.weight is None else block.weight[part].to(dtype)
+            weighted = value * training.counted(weight, run[part])
+            above += (weighted * block.images[part]).sum(dim=0)
+            below += (weighted * value).sum(dim=0)
+    tint = torch.where(below > 0, safe.divide(above, below).clamp(min=0), torch.ones((), dtype=dtype))
+    return tint, (below > 0).any(dim=0, keepdim=True).to(torch.float32)
+
+
+SPHERE_IMAGES = Recipe(SphereImages, fit_sphere_images_to_btf, near=True, bytes_per_texel="6")
