@@ -112,6 +112,9 @@ def check_known_keys(
 
 def check_finite(where: str, name: str, value: torch.Tensor, next_step: str = "") -> None:
     """Raise RangeError when `value` holds NaN or Inf; name how many and the first index."""
+    # The two ends show NaN and Inf, in a fraction of the time and without a tensor beside this one.
+    if value.is_floating_point() and value.numel() and all(end.isfinite() for end in value.aminmax()):
+        return
     bad = ~value.isfinite()
     count = int(bad.sum())
     if count:

@@ -38,6 +38,12 @@ def _status_mb(name: str) -> float | None:
     return None
 
 
+def give_back() -> None:
+    """Give memory that was freed back to the system, where the allocator keeps it (glibc)."""
+    with suppress(OSError, AttributeError):
+        ctypes.CDLL(None).malloc_trim(0)
+
+
 class MemoryMark:
     """Measures what a piece of work takes on top of what the process holds when it begins (Linux; else None).
 
@@ -48,8 +54,7 @@ class MemoryMark:
     def __init__(self) -> None:
         global _earlier_peak_mb
         gc.collect()
-        with suppress(OSError, AttributeError):
-            ctypes.CDLL(None).malloc_trim(0)
+        give_back()
         self._held = None
         peak = _status_mb("VmHWM")
         with suppress(OSError):

@@ -20,7 +20,7 @@ def large_btf(size: int, lights: int, views: int) -> Iterator[Path]:
     """Yield a folder with the raw codes of a generated 8-bit BTF: bumpy Lambert and a lobe, sRGB-encoded."""
     with tempfile.TemporaryDirectory(dir=_memory(3 * size * size * lights * views)) as folder:
         path = Path(folder) / "pixels.raw"
-        light, view = _directions(lights), _directions(views)
+        light, view = directions(lights), directions(views)
         light, view = np.tile(light, (views, 1)), np.repeat(view, lights, axis=0)
         np.savez(Path(folder) / "directions.npz", light=light, view=view)
         random = np.random.default_rng(0)
@@ -47,7 +47,8 @@ def _memory(size: int) -> str | None:
     return str(place) if place.is_dir() and shutil.disk_usage(place).free > 4 * size else None
 
 
-def _directions(count: int) -> np.ndarray:
+def directions(count: int) -> np.ndarray:
+    """Return unit vectors [count, 3] that spread evenly from the pole to 15 degrees above the horizon."""
     golden = np.pi * (3 - 5**0.5)
     z = 1 - (np.arange(count) + 0.5) / count * 0.75
     radius, azimuth = np.sqrt(1 - z * z), golden * np.arange(count)

@@ -14,8 +14,8 @@ from torch import Tensor
 from torchmat.btf.decode import Decoder
 from torchmat.btf.near import LIGHT, VIEW, Grid, Near, with_centre
 from torchmat.btf.pixels import checksum
-from torchmat.btf.store import CLIPPED, INVALID, VALID, PixelStore, summarise
-from torchmat.btf.stream import Block, runs, stream_blocks
+from torchmat.btf.store import CLIPPED, INVALID, VALID, PixelStore, summarise, taken
+from torchmat.btf.stream import BAND_SAMPLES, Block, bands, runs, stream_blocks
 from torchmat.errors import RangeError, ShapeError, check_finite, check_unit, message
 from torchmat.geometry.mask import check_mask
 
@@ -474,9 +474,7 @@ class Btf:
     def images(self, indices: Sequence[int] | Tensor, dtype: torch.dtype = torch.float32) -> Tensor:
         """Return chosen images [k, 3, H, W], linear; `indices` are sample numbers or a mask, bool [sample]."""
         rows = self._rows(indices)
-        codes = np.ascontiguousarray(self._store.pixels[rows])
-        if len(rows):
-            self._store.release(range(int(rows.min()), int(rows.max()) + 1))
+        codes = taken(self._store.pixels, rows)
         images = self._decoder.into(codes, torch.empty(codes.shape, dtype=dtype))
         images = images if self.intensity is None else images.div_(self.intensity[rows][:, :, None, None].to(dtype))
         gain = self._gain(rows, dtype)
@@ -489,7 +487,7 @@ class Btf:
 
     def _marks(self, samples: np.ndarray | slice, outside: int = INVALID) -> np.ndarray | None:
         """Return the flags [k, H, W] of some samples, `outside` off the object; None where all are valid."""
-        flags = None if self._store.flags is None else self._store.flags[samples]
+        flags = None if self._store.flags is None else taken(self._store.flags, samples)
         if self.mask is None:
             return flags
         count = samples.stop - samples.start if isinstance(samples, slice) else len(samples)
@@ -567,13 +565,34 @@ class Btf:
         table = torch.tensor([1.0, self.clipped_weight, 0.0])
         return table[torch.from_numpy(flags.astype(np.int64))][:, None]
 
+    def through(self, curve: Callable[[Tensor], Tensor]) -> Btf | None:
+        """Return the same images with ``curve(value)`` in the place of values; None where each value has to be asked for it.
+
+        So it is where what codes mean depends on the place or on the image. Values that are masked out stay 0.
+        """
+        decoder = None if self.intensity is not None or self.near is not None else self._decoder.through(curve)
+        if decoder is None:
+            return None
+        part = copy.copy(self)
+        part._decoder = decoder
+        return part
+
+    def bands(self, progress: bool | None = False) -> Iterator[tuple[slice, Btf]]:
+        """Stream all texels a few rows at a time: the rows, and the Btf of those, whose `blocks` with ``band=True`` are small.
+
+        For what each texel asks of all its samples: everything that is summed stays in the processor's cache.
+        """
+        for rows in bands(self._store, progress):
+            yield slice(rows.start, rows.stop), self.window(rows.start, 0, len(rows), self.width)
+
     def blocks(
-        self, wanted: Tensor | None = None, dtype: torch.dtype = torch.float32, progress: bool | None = False
+        self, wanted: Tensor | None = None, dtype: torch.dtype = torch.float32, progress: bool | None = False,
+        band: bool = False,
     ) -> Iterator[Block]:
         """Stream all samples in their stored order, a run at a time.
 
         `wanted`, bool [sample], skips runs that hold none of the wanted samples; other runs come whole, since reading
-        in order is faster than picking. `progress` None shows a bar on a terminal.
+        in order is faster than picking. `progress` None shows a bar on a terminal. `band` is for one of `bands`.
         """
         flagged = self._reduced()
 
@@ -583,7 +602,8 @@ class Btf:
             flags = self._marks(slice(run.start, run.stop))
             return None if flags is None else self._to_weight(flags)
 
-        for block in stream_blocks(self._store, self._decoder, weigh, wanted, dtype, progress):
+        most = BAND_SAMPLES if band else None
+        for block in stream_blocks(self._store, self._decoder, weigh, wanted, dtype, progress, most):
             if self.intensity is not None:
                 block.images.div_(self.intensity[block.samples.start : block.samples.stop, :, None, None].to(dtype))
             gain = self._gain(block.samples, dtype)

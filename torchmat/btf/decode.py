@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import copy
+from collections.abc import Callable
+
 import numpy as np
 import torch
 from torch import Tensor
@@ -59,6 +62,15 @@ class Decoder:
     def full_code(self) -> int | None:
         """The code at which a sample counts as clipped; None for floating point."""
         return None if self._table is None else int(np.iinfo(self.stored).max)
+
+    def through(self, curve: Callable[[Tensor], Tensor]) -> Decoder | None:
+        """Return a decoder of ``curve(value)``, element by element and as fast; None where codes are no table."""
+        if self._table is None:
+            return None
+        other = copy.copy(self)
+        other._table = curve(self._table)
+        other._pairs = None if self._pairs is None else _paired(other._table)
+        return other
 
     def into(self, codes: np.ndarray, out: Tensor) -> Tensor:
         """Decode contiguous `codes` of any shape into `out`, float32 or float64 of the same shape; return it."""

@@ -21,6 +21,7 @@ from torchmat.channels import rgb_of_xyz
 from torchmat.errors import DataError, ShapeError, message
 from torchmat.icc import read_profile
 from torchmat.images import read_picture, read_tags
+from torchmat.machine import give_back
 from torchmat.progress import progress
 
 CHUNK = 64  # images that one thread decodes in a go; smaller tasks spend their time in hand-over
@@ -53,6 +54,14 @@ def split_channels(pixels: np.ndarray, where: str) -> tuple[np.ndarray, np.ndarr
     codes = pixels[..., :colours].transpose(2, 0, 1)
     codes = np.repeat(codes, 3, axis=0) if colours == 1 else codes
     return codes, pixels[..., colours] if colours < channels else None
+
+
+def _planes(turned: np.ndarray) -> np.ndarray:
+    """Return colours [3, H, W] as planes that lie one behind the other, channel by channel: in an eighth of the time of one copy."""
+    planes = np.empty(turned.shape, turned.dtype)
+    for plane, channel in zip(planes, turned, strict=True):
+        plane[...] = channel
+    return planes
 
 
 class Normaliser:
@@ -89,8 +98,10 @@ class Normaliser:
 
     def __call__(self, pixels: np.ndarray, where: str) -> tuple[np.ndarray, np.ndarray]:
         codes, alpha = split_channels(pixels, where)
+        # As planes of their own before anything is asked: numpy goes through a turned view ten times as slowly.
+        codes = _planes(codes)
         flags = np.zeros(codes.shape[1:], dtype=np.uint8)
-        if self.decoder.full_code is not None:
+        if self.decoder.full_code is not None and codes.max(initial=0) == self.decoder.full_code:
             flags[(codes == self.decoder.full_code).any(axis=0)] = CLIPPED
         if alpha is not None:
             # Turned round, so that an alpha of NaN counts as none.
@@ -217,12 +228,14 @@ def decode_samples(
             pixels[row] = codes
             if marks.any():  # untouched rows of the flag file stay holes that take no space
                 flags[row] = marks
-            table["clipped"][row], table["invalid"][row] = (marks == CLIPPED).sum(), (marks == INVALID).sum()
+                table["clipped"][row], table["invalid"][row] = (np.count_nonzero(marks == kind) for kind in (CLIPPED, INVALID))
             table["low"][row], table["high"][row] = codes.min(), codes.max()
             table["checksum"][row] = checksum(codes, marks)
         release(pixels, samples)  # or a store that is larger than the memory would fill it as it is written
 
     _in_threads(work, range(0, count, chunk), show)
+    if chunk == 1:
+        give_back()  # each thread's allocator keeps what large images took
     return table
 
 

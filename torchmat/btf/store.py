@@ -12,6 +12,23 @@ VALID, CLIPPED, INVALID = 0, 1, 2
 RELEASE_BYTES = 256_000_000  # a smaller store stays mapped: faulting its pages in again costs more than it saves
 
 
+_TAKEN_BYTES = 32_000_000  # of a large mapped array are copied before its pages are dropped again
+
+
+def taken(array: np.ndarray, samples: np.ndarray | slice) -> np.ndarray:
+    """Return a copy of some rows of an array, contiguous; of a large mapped one no more than few are in memory beside it."""
+    if isinstance(samples, slice):
+        samples = np.arange(len(array))[samples]
+    found = np.empty((len(samples), *array.shape[1:]), array.dtype)
+    step = max(1, _TAKEN_BYTES // max(1, array.strides[0]))
+    for first in range(0, len(samples), step):
+        rows = samples[first : first + step]
+        for place, row in enumerate(rows.tolist(), first):
+            found[place] = array[row]
+        release(array, range(int(rows.min()), int(rows.max()) + 1))
+    return found
+
+
 def release(array: np.ndarray, samples: range) -> None:
     """Drop the pages of some rows of a large mapped array from memory; what was written into a shared map stays in its file."""
     mapped = getattr(array, "_mmap", None)

@@ -11,9 +11,15 @@ from torch import Tensor
 
 from torchmat.btf.decode import Decoder
 from torchmat.btf.store import PixelStore
+from torchmat.machine import give_back
 from torchmat.progress import progress
 
 BLOCK_VALUES = 8_000_000  # values of one decoded block: 32 MB in float32, small beside any BTF worth streaming
+# Where texels are taken a few rows at a time: so many values of up to so many samples stay in the processor's cache, and
+# below the size from which an allocator asks for fresh pages, each of which costs a fault.
+BAND_VALUES, BAND_SAMPLES = 1 << 21, 128
+_KEPT_BYTES = 31 << 20
+_BAND_BYTES = 64_000_000  # of codes that bands pass by before their pages are dropped
 
 
 class Block(NamedTuple):
@@ -28,26 +34,46 @@ class Block(NamedTuple):
     weight: Tensor | None
 
 
-def runs(store: PixelStore, wanted: Tensor | None) -> list[range]:
-    """Return consecutive runs of samples, one block each, without those that hold no sample of `wanted` (bool)."""
+def bands(store: PixelStore, show: bool | None) -> Iterator[range]:
+    """Yield runs of rows of texels, whose samples are few values at a time; drops mapped pages behind the pass."""
     count, channels, height, width = store.pixels.shape
-    step = max(1, BLOCK_VALUES // (channels * height * width))
+    step = max(1, BAND_VALUES // (channels * width * min(count, BAND_SAMPLES)))
+    # glibc gives freed memory back above a bound that grows with what is freed, up to twice 32 MB. Below it each band would be
+    # given fresh pages, whose faults take longer than what is computed in them.
+    torch.empty(_KEPT_BYTES, dtype=torch.uint8)
+    passed = 0
+    for top in progress(range(0, height, step), "reading images", show=show):
+        yield range(top, min(top + step, height))
+        passed += count * channels * step * width * store.pixels.itemsize
+        if passed > _BAND_BYTES:
+            store.release(range(count))
+            passed = 0
+    store.release(range(count))
+    give_back()
+
+
+def runs(store: PixelStore, wanted: Tensor | None, most: int | None = None) -> list[range]:
+    """Return consecutive runs of at most `most` samples, one block each, without those that hold no sample of `wanted` (bool)."""
+    count, channels, height, width = store.pixels.shape
+    step = most or max(1, BLOCK_VALUES // (channels * height * width))
     every = [range(first, min(first + step, count)) for first in range(0, count, step)]
     return [run for run in every if wanted is None or bool(wanted[run.start : run.stop].any())]
 
 
 def stream_blocks(
     store: PixelStore, decoder: Decoder, weigh: Callable[[range], Tensor | None], wanted: Tensor | None,
-    dtype: torch.dtype, show: bool | None,
+    dtype: torch.dtype, show: bool | None, most: int | None = None,
 ) -> Iterator[Block]:
     """Yield the blocks of `store` in order; `weigh` gives the weights of a run; `show` as in `progress`.
 
-    Mapped pages are dropped behind the pass, so memory stays bounded. Decoding uses all cores as it is: a thread that
+    Mapped pages are dropped behind the pass, so memory stays bounded, unless blocks of `most` samples are asked for: those are
+    of a band, behind which `bands` does. Decoding uses all cores as it is: a thread that
     decodes ahead was measured to take a third longer, since both then fight for them.
     """
-    order = runs(store, wanted)
+    order = runs(store, wanted, most)
     buffer = torch.empty(max(map(len, order), default=0), *store.pixels.shape[1:], dtype=dtype)
     for run in progress(order, "reading images", show=show):
         codes = np.ascontiguousarray(store.pixels[run.start : run.stop])
         yield Block(run, decoder.into(codes, buffer[: len(run)]), weigh(run))
-        store.release(run)
+        if most is None:
+            store.release(run)

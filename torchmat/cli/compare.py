@@ -18,7 +18,7 @@ class Compare:
     """Fit several models to one BTF and print and plot speed against error."""
 
     reads: ClassVar = ("data",)
-    words: ClassVar = {"measure": MEASURES[1:], "holdout_by": HOLDOUT_WAYS}
+    words: ClassVar = {"measure": MEASURES[1:3], "holdout_by": HOLDOUT_WAYS}
     bounds: ClassVar = {"holdout": SHARE, "budget": POSITIVE, "repeats": FROM_1}
 
     data: Annotated[str, tyro.conf.Positional] = SAMPLE

@@ -23,10 +23,13 @@ BAND_DEG = 15
 # SSIM and CIEDE2000 cost far more than the rest: an even choice of samples, of large images the middle, is enough.
 PERCEPTUAL_SAMPLES, PERCEPTUAL_TEXELS = 256, 2_000_000
 _FEWEST = 8  # samples that are looked at, however large they are
-MEASURES = ("none", "quick", "full")
+MEASURES = ("none", "quick", "full", "auto")
 SPLITS = ("train", "held_out", "held_out_after_export")
 _TRAIN_SAMPLES, TRAIN_TEXELS = 512, 100_000_000  # the training error is measured on at most so much, evenly chosen
 QUICK_TEXELS = 2_000_000  # of each part, where quick figures are asked for
+# "auto" looks at every so-manieth row and column of images above so many texels: about so many of each, of so many in all
+# for the training error, and at so many for SSIM and CIEDE2000.
+LARGE_TEXELS, _OF_EACH, _OF_TRAIN, _PERCEPTUAL_FEW = 1 << 20, 1 << 17, 1 << 21, 1 << 19
 _VALUES = 1_000_000  # values of one batch: larger ones leave the processor's cache and take three times as long
 
 
@@ -49,7 +52,7 @@ def predict(material: Material, btf: Btf, indices: Tensor) -> Tensor:
 
 def evaluate(
     material: Material, btf: Btf, indices: Tensor, most: int | None = None, progress: bool | None = False,
-    perceptual: bool = True,
+    perceptual: bool = True, every: int = 1, exported: bool = False,
 ) -> Evaluation:
     """Measure a material against samples of a BTF: errors pooled, by polar angle, and of each sample.
 
@@ -62,32 +65,70 @@ def evaluate(
         most: the most samples that are looked at, evenly chosen; None is all.
         progress: whether to show a bar; None shows it on a terminal.
         perceptual: whether to include SSIM and CIEDE2000, which take most of the time.
+        every: look at every so-manieth row and column alone (`spacing_of` says where that may be), of the middle for SSIM and
+            CIEDE2000.
+        exported: whether to measure the material as its textures hold it.
     """
     if most is not None and len(indices) > most:
         indices = indices[torch.linspace(0, len(indices) - 1, most).round().long()]
     part = comparable(material, btf)[1]
-    count, rows, columns = perceptual_share(len(indices), part.height, part.width)
+    share = perceptual_share(len(indices), part.height, part.width, PERCEPTUAL_TEXELS if every == 1 else _PERCEPTUAL_FEW)
+    count, rows, columns = share
     looked_at = torch.zeros(len(indices), dtype=torch.bool)
     if perceptual:
         looked_at[torch.linspace(0, len(indices) - 1, count).round().long()] = True
-    errors = sample_errors(material, btf, indices, looked_at, progress, (rows, columns))
+    if every == 1:
+        material = material.as_exported() if exported else material
+        errors = sample_errors(material, btf, indices, looked_at, progress, (rows, columns))
+    else:
+        errors = _errors_of_some(material, btf, indices, looked_at, progress, every, exported, (rows, columns))
     report: dict[str, Any] = {
         "samples": len(indices), **errors.report(), "relative_error_interval": errors.relative_error_interval(),
     }
+    if every > 1:
+        report["every"] = every
     if perceptual:
         report |= {"perceptual_samples": count, "perceptual_size": [rows.stop - rows.start, columns.stop - columns.start]}
     report["by_angle"] = _bands(errors, btf.light[indices], "light") + _bands(errors, btf.view[indices], "view")
     return Evaluation(report, errors.per_sample_display())
 
 
-def perceptual_share(samples: int, height: int, width: int) -> tuple[int, slice, slice]:
-    """Return how many of so many samples get SSIM and CIEDE2000, and in which rows and columns: about 2 million texels.
+def spacing_of(material: Material, btf: Btf) -> int:
+    """Return of which so-manieth row and column "auto" measures a material: 1, all, unless the images are large.
+
+    On a relief all are measured: what a texel sees lies beside it.
+    """
+    whole = material.size == (btf.height, btf.width) and material.cutout is None and not material.has_relief
+    texels = btf.height * btf.width
+    return math.ceil(math.sqrt(texels / _OF_EACH)) if whole and texels > LARGE_TEXELS else 1
+
+
+def _errors_of_some(
+    material: Material, btf: Btf, indices: Tensor, looked_at: Tensor, progress: bool | None, every: int, exported: bool,
+    window: tuple[slice, slice],
+) -> SampleErrors:
+    """Return the errors on every so-manieth row and column, and SSIM and CIEDE2000 of samples that are `looked_at` in a window."""
+    rows, columns = (slice(0, size, every) for size in (btf.height, btf.width))
+    none = torch.zeros_like(looked_at)
+    few = btf.window(0, 0, btf.height, btf.width, every)
+    errors = sample_errors(material.some_texels(rows, columns, exported), few, indices, none, progress)
+    if bool(looked_at.any()):
+        rows, columns = window
+        middle = btf.window(rows.start, columns.start, rows.stop - rows.start, columns.stop - columns.start)
+        seen = indices[looked_at]
+        found = sample_errors(material.some_texels(rows, columns, exported), middle, seen, torch.ones(len(seen), dtype=torch.bool), progress)
+        errors.ssim, errors.delta_e = found.ssim, found.delta_e
+    return errors
+
+
+def perceptual_share(samples: int, height: int, width: int, most_texels: int = PERCEPTUAL_TEXELS) -> tuple[int, slice, slice]:
+    """Return how many of so many samples get SSIM and CIEDE2000, and in which rows and columns: about `most_texels`.
 
     Up to 256 whole images; fewer, and of at least 8 the middle alone, where that would be more texels.
     """
     texels = height * width
-    count = min(samples, PERCEPTUAL_SAMPLES, max(_FEWEST, PERCEPTUAL_TEXELS // texels))
-    most = PERCEPTUAL_TEXELS / max(count, 1)
+    count = min(samples, PERCEPTUAL_SAMPLES, max(_FEWEST, most_texels // texels))
+    most = most_texels / max(count, 1)
     short = math.ceil(min(1.0, math.sqrt(most / texels)) * min(height, width))
     long = min(max(height, width), math.ceil(most / short))
     rows, columns = (short, long) if height <= width else (long, short)
@@ -153,23 +194,23 @@ def few_samples(btf: Btf) -> int:
 
 
 def evaluate_parts(
-    btf: Btf, material: Material, split: Split, progress: bool | None = False, quick: bool = False
+    btf: Btf, material: Material, split: Split, progress: bool | None = False, quick: bool = False, every: int = 1
 ) -> tuple[dict[str, Any], Evaluation | None]:
     """Return the figures of each of SPLITS, NotMeasured without held-out samples, and what was measured on those.
 
-    On all held-out samples and some that the fit saw, or of both on few, `quick`.
+    On all held-out samples and some that the fit saw, or of both on few, `quick`; on `every` so-manieth row and column.
     """
-    texels = btf.height * btf.width
+    texels = -(-btf.height // every) * -(-btf.width // every)
     few = few_samples(btf) if quick else None
-    some = min(few or _TRAIN_SAMPLES, _TRAIN_SAMPLES, max(_FEWEST, TRAIN_TEXELS // texels))
-    report: dict[str, Any] = {"train": evaluate(material, btf, split.train, some, progress).report}
-    held_out = evaluate(material, btf, split.held_out, few, progress) if len(split.held_out) else None
+    some = min(few or _TRAIN_SAMPLES, _TRAIN_SAMPLES, max(_FEWEST, (TRAIN_TEXELS if every == 1 else _OF_TRAIN) // texels))
+    report: dict[str, Any] = {"train": evaluate(material, btf, split.train, some, progress, every=every).report}
+    held_out = evaluate(material, btf, split.held_out, few, progress, every=every) if len(split.held_out) else None
     if held_out is None:
         step = "Give holdout=0.2; report['train'] has the errors on samples that the fit saw."
         return report | {part: NotMeasured(part, "no samples are held out", step) for part in SPLITS[1:]}, None
     report["held_out"] = held_out.report
     with working("measuring after export", progress):
-        report["held_out_after_export"] = evaluate(material.as_exported(), btf, split.held_out, few, progress).report
+        report["held_out_after_export"] = evaluate(material, btf, split.held_out, few, progress, every=every, exported=True).report
     return report, held_out
 
 
@@ -190,7 +231,13 @@ def _bands(errors: SampleErrors, direction: Tensor, which: str) -> list[dict[str
 
 
 def shading_rate(material: Material) -> float:
-    """Return million texels shaded a second, one light and view an image: the median of several runs."""
+    """Return million texels shaded a second, one light and view an image: the median of several runs.
+
+    Of a large flat material on some of its rows.
+    """
+    if material.texels > LARGE_TEXELS and not material.has_relief:
+        rows = max(1, LARGE_TEXELS // material.size[1])
+        material = material.some_texels(slice(0, rows), slice(0, material.size[1]))
     light = torch.tensor([0.3, 0.2, math.sqrt(0.87)])[:, None, None]
     view = torch.tensor([-0.4, 0.1, math.sqrt(0.83)])[:, None, None]
     light, view = light.to(material.dtype), view.to(material.dtype)

@@ -48,7 +48,7 @@ from torchmat.scene_use import SceneUse, Usable, as_use
 from torchmat.solvers import Stepping
 from torchmat.solvers.clock import Watch
 
-NONE, _, FULL = MEASURES
+NONE, _, FULL, AUTO_MEASURE = MEASURES
 _CURVE_SAMPLES = 400  # held-out ones that a curve is measured on; of a few, chance decides whether they hold a highlight
 
 
@@ -106,7 +106,7 @@ def fit(
     curve: bool = False,
     uncertainty: bool | None = None,
     dtype: torch.dtype = torch.float32,
-    measure: str | bool = "full",
+    measure: str | bool = "auto",
     progress: bool | None = None,
     **options: Any,
 ) -> FitResult:
@@ -152,8 +152,9 @@ def fit(
         uncertainty: whether the result has standard errors of its maps (`tm.uncertainty`), which a folder and its report then
             show; usually False.
         dtype: torch.float32, or torch.float64 for the same code in double precision.
-        measure: "full" (or True) puts errors on all held-out samples into the report, "quick" on some, about 2 million texels,
-            "none" (or False) none; measuring takes most of the time of a closed-form fit.
+        measure: "full" puts errors on all held-out samples into the report, "auto" (or True) too, of images above a million texels
+            on every so-manieth row and column, "quick" on some samples, about 2 million texels, "none" (or False) none; measuring
+            takes most of the time of a closed-form fit.
         progress: whether to show a bar; None shows it on a terminal.
         options: the model's options, such as ``terms=16`` (`describe_model`), its `solver`, a name or an object such as
             ``Adam(steps=100)``, and its `objective`; of a material `solver`, `steps`, `rate`, `objective`, and `keep`, the
@@ -167,7 +168,7 @@ def fit(
         "uncertainty": uncertainty, "test": None if isinstance(test, Btf) or test is None else str(test),
     }
     wanted = {"error": error, "psnr": psnr, "bytes": bytes, "seconds": seconds, "highlights": highlights}
-    how = FULL if measure is True else NONE if measure is False else measure
+    how = AUTO_MEASURE if measure is True else NONE if measure is False else measure
     check_option("fit", "measure", how, MEASURES)
     if dtype not in (torch.float32, torch.float64):
         raise RangeError(message("fit", "dtype", "be torch.float32 or torch.float64", f"it is {dtype}"))

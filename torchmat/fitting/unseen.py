@@ -13,6 +13,7 @@ from torchmat.btf.btf import unique_directions
 from torchmat.errors import RangeError, ShapeError, message
 from torchmat.fitting.evaluate import (
     MEASURES, Evaluation, NotMeasured, evaluate, evaluate_parts, few_samples, nothing_measured,
+    spacing_of,
 )
 from torchmat.models import Material
 from torchmat.progress import working
@@ -67,18 +68,18 @@ def measured(
     """Return the figures of all parts of a report that `how` asks for, and what was measured on the held-out samples."""
     if how == MEASURES[0]:
         return nothing_measured() | ({} if test is None else _not_measured()), None
-    quick = how == MEASURES[1]
+    quick, every = how == MEASURES[1], spacing_of(material, btf) if how == MEASURES[3] else 1
     with working("measuring", progress):
-        errors, held_out = evaluate_parts(btf, material, split, progress, quick)
-        return errors | ({} if test is None else _tested(material, test, progress, quick)), held_out
+        errors, held_out = evaluate_parts(btf, material, split, progress, quick, every)
+        return errors | ({} if test is None else _tested(material, test, progress, quick, every)), held_out
 
 
-def _tested(material: Material, test: Btf, progress: bool | None, quick: bool) -> dict[str, Any]:
-    """Return the figures of all test images, or of few, `quick`; as fitted and as the textures hold it."""
+def _tested(material: Material, test: Btf, progress: bool | None, quick: bool, every: int) -> dict[str, Any]:
+    """Return the figures of all test images, or of few, `quick`, or `every` so many texels; as fitted and as the textures hold it."""
     rows, few = torch.arange(len(test)), few_samples(test) if quick else None
     return {
-        TEST: evaluate(material, test, rows, few, progress).report,
-        TEST_AFTER_EXPORT: evaluate(material.as_exported(), test, rows, few, progress).report,
+        TEST: evaluate(material, test, rows, few, progress, every=every).report,
+        TEST_AFTER_EXPORT: evaluate(material, test, rows, few, progress, every=every, exported=True).report,
     }
 
 

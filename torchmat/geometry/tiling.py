@@ -68,7 +68,7 @@ def tiling_of(images: Tensor | Iterable[Tensor]) -> Tiling:
     steps: list[Tensor] = []  # mean squares, [W] and [H], the last one across the border
     spread: list[Tensor] = []  # along each column [W] and row [H]
     for block in (images,) if isinstance(images, Tensor) else images:
-        grey = block.detach().double().mean(dim=1)
+        grey = block.detach().mean(dim=1, dtype=torch.float64)
         for number, lines in enumerate((grey, grey.mT)):  # [n, along, which]
             step = (lines.roll(-1, -1) - lines).square().sum(dim=(0, 1))
             varies = lines.var(dim=1, correction=0).sum(dim=0)

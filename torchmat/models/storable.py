@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any, Self
 
+import torch
 from torch import Tensor, nn
 
 from torchmat.models.cutout import Cutout
@@ -39,6 +40,10 @@ class Storable(nn.Module):
 
     def with_maps(self, **maps: Tensor) -> Self:
         """Return the same material with some other maps."""
+        raise NotImplementedError
+
+    def _unchecked(self, maps: dict[str, Tensor], **fields: Any) -> Self:
+        """Return a material that differs in these maps and fields, neither checked nor copied."""
         raise NotImplementedError
 
     def settings(self, maps: Mapping[str, Tensor]) -> dict[str, Any]:
@@ -110,6 +115,30 @@ class Storable(nn.Module):
         small = [(spec, self._small(spec)[:, 0, 0]) for spec in self.specs() if self._stored(spec).numbers]
         return [(spec, value.float()) for spec, value in (*constants, *small)]
 
+    def some_texels(self, rows: slice, columns: slice, exported: bool = False) -> Self:
+        """Return a flat material of some rows and columns, as it is or `exported`, as its textures would bring it back.
+
+        Their codes span what those of the whole do. Not checked; it shades, and is not to be stored.
+        """
+        parts: dict[str, list[Tensor]] = {}
+        for texture in self.textures() if exported else ():
+            parts.setdefault(texture.spec.name, []).append(self._some_of(texture, rows, columns))
+        maps = {spec.name: _some(spec, self.maps[spec.name].detach(), rows, columns) for spec in self.specs()}
+        for spec, value in self.numbers() if exported else ():
+            maps[spec.name] = value if spec.constant else value[:, None, None].expand(maps[spec.name].shape)
+        return self._unchecked(maps | {name: torch.cat(pieces) for name, pieces in parts.items()}, cutout=None, stored={})
+
+    def _some_of(self, texture: StoredTexture, rows: slice, columns: slice) -> Tensor:
+        """Return some rows and columns of what a texture brings back; a table whole."""
+        if not texture.spec.per_texel:
+            return decode(texture.codes())
+        if texture.values.shape[-2:] != self.size:
+            return _some(texture.spec, restored(texture.spec, [decode(texture.codes())], self.size, self.tiles), rows, columns)
+        if STORAGES[texture.storage].levels is None and not texture.spec.index:  # each value is its own code
+            return decode(texture._replace(values=texture.values[:, rows, columns]).codes())
+        codes = texture.codes()
+        return decode(replace(codes, pixels=codes.pixels[rows, columns]))
+
     def as_exported(self) -> Self:
         """Return the material, in float32, as its textures would bring it back, without writing files.
 
@@ -148,3 +177,8 @@ class Storable(nn.Module):
     def shared_bytes(self) -> int:
         """Bytes of the tables that all texels share, and of all numbers."""
         return sum(self.bytes_of(spec) for spec in self.specs() if not spec.per_texel or self._is_numbers(spec))
+
+
+def _some(spec: MapSpec, value: Tensor, rows: slice, columns: slice) -> Tensor:
+    """Return some rows and columns of a map [C, H, W]; numbers and tables stay whole."""
+    return value if spec.constant or not spec.per_texel else value[:, rows, columns].contiguous()

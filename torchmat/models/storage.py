@@ -54,6 +54,7 @@ STORAGES = {
 }
 
 
+_BAND_VALUES = 1_000_000  # of a texture are made codes at a time: in double precision a large one would take gigabytes
 KINDS = ("value", "normal", "rotation", "weights")
 
 
@@ -221,9 +222,10 @@ def check_map(where: str, spec: MapSpec, value: Tensor) -> None:
     if spec.index and bool((value != value.round()).any()):
         fact = f"the first that is not is {float(value[value != value.round()][0]):.6g}"
         raise RangeError(message(where, spec.name, "hold whole numbers", fact, "It is an index, which cannot be mixed."))
-    for bound, outside in ((spec.low, value < (spec.low or 0)), (spec.high, value > (spec.high or 0))):
-        if bound is None or not bool(outside.any()):
+    for bound, least in ((spec.low, True), (spec.high, False)):
+        if bound is None or bool(value.min() >= bound if least else value.max() <= bound):
             continue
+        outside = value < bound if least else value > bound
         fact = f"{int(outside.sum())} of {value.numel()} values are not, the first is {float(value[outside][0]):.6g}"
         ends = ["-inf" if spec.low is None else spec.low, "inf" if spec.high is None else spec.high]
         requirement = f"lie in [{ends[0]}, {ends[1]}]"
@@ -238,33 +240,38 @@ def encode(spec: MapSpec, value: Tensor, storage: str, span: tuple[float, float]
     check_option("encode", "storage", storage, STORAGES)
     check_map("export", spec, value)
     kind = STORAGES[storage]
-    planes = value.detach().double()
+    value = value.detach()
     if spec.index:
-        return Codes(planes.round().permute(1, 2, 0).numpy().astype(np.uint8 if spec.fits_a_byte else np.uint16))
+        return Codes(value.double().round().permute(1, 2, 0).numpy().astype(np.uint8 if spec.fits_a_byte else np.uint16))
     if kind.levels is None:
-        pixels = planes.permute(1, 2, 0).numpy()
-        largest = float(np.abs(pixels).max())
+        largest = max(abs(float(end)) for end in value.aminmax())
         # As a Python float: NumPy would round `largest` to a half before it compares.
         most = float(np.finfo(kind.dtype).max)
         if largest > most:
             step = "Divide it by a constant." if storage == "float" else "Store this map as float, or divide it by a constant."
             fact = f"its largest magnitude is {largest:.6g}, above {most:.6g}"
             raise RangeError(message("export", spec.name, f"fit {kind.dtype}", fact, step))
-        return Codes(pixels.astype(kind.dtype))
+        # From double precision torch would round twice.
+        whole = value.half() if kind.dtype == "float16" and value.dtype == torch.float32 else value
+        return Codes(whole.permute(1, 2, 0).numpy().astype(kind.dtype, copy=False))
     if kind.natural and spec.kind == "rotation":
-        codes = (hue_of(planes) * kind.levels).round()
+        codes = (hue_of(value.double()) * kind.levels).round()
         return Codes(codes.permute(1, 2, 0).numpy().astype(kind.dtype), (0.0,) * 3, (1.0,) * 3, "hue")
-    low, high = _span(spec, planes, kind.natural, span)
+    low, high = _span(spec, value, kind.natural, span)
     coded = (kind.natural and spec.looks_coloured) or (spec.colour and kind.dtype == "uint8")
     transfer = "srgb" if coded and float(low.min()) >= 0 else "linear"
     if transfer == "srgb":
         low, high = torch.zeros_like(low), high.amax().expand_as(high)
     width = torch.where(high > low, high - low, torch.ones_like(low))
-    share = (planes - low[:, None, None]) / width[:, None, None]
-    if transfer == "srgb":
-        share = _per_channel(colour.linear_to_srgb, share)
-    codes = (share * kind.levels).round().clamp(0, kind.levels)  # the clamp meets rounding errors of 1e-16 only
-    return Codes(codes.permute(1, 2, 0).numpy().astype(kind.dtype), tuple(low.tolist()), tuple(high.tolist()), transfer)
+    pixels = np.empty((*value.shape[1:], len(value)), kind.dtype)
+    rows = max(1, _BAND_VALUES // (value.shape[2] * len(value)))
+    for top in range(0, len(pixels), rows):
+        share = (value[:, top : top + rows].double() - low[:, None, None]) / width[:, None, None]
+        if transfer == "srgb":
+            share = _per_channel(colour.linear_to_srgb, share)
+        codes = (share * kind.levels).round().clamp(0, kind.levels)  # the clamp meets rounding errors of 1e-16 only
+        pixels[top : top + rows] = codes.permute(1, 2, 0).numpy()
+    return Codes(pixels, tuple(low.tolist()), tuple(high.tolist()), transfer)
 
 
 def _per_channel(curve: Callable[[Tensor], Tensor], planes: Tensor) -> Tensor:

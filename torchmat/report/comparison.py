@@ -83,7 +83,7 @@ def compare(
         raise RangeError(message("compare", "budget", "be positive", f"it is {budget}", step))
     if not isinstance(repeats, int) or isinstance(repeats, bool) or repeats < 1:
         raise RangeError(message("compare", "repeats", "be a whole number of at least 1", f"it is {repeats!r}"))
-    check_option("compare", "measure", measure, MEASURES[1:])
+    check_option("compare", "measure", measure, MEASURES[1:3])
     split_samples(btf, holdout, holdout_by, seed)  # what is wrong with the split is no model's failure
     setting = Setting({"holdout": holdout, "holdout_by": holdout_by, "seed": seed}, budget, repeats, curves, measure == MEASURES[1])
     rows: list[dict[str, Any]] = []

@@ -145,6 +145,12 @@ def summary_table(report: dict[str, Any]) -> str:
     return text_table(["", ""], rows + measured_rows(report))
 
 
+def _ordinal(number_of: int) -> str:
+    """Return 2nd, 3rd, 4th ..."""
+    ends = {1: "st", 2: "nd", 3: "rd"}
+    return f"{number_of}{'th' if number_of % 100 in (11, 12, 13) else ends.get(number_of % 10, 'th')}"
+
+
 def measured_rows(report: dict[str, Any]) -> list[list[Any]]:
     """Return on how many images the figures of each part stand, and SSIM and delta E on how much of how many."""
     rows = []
@@ -153,7 +159,8 @@ def measured_rows(report: dict[str, Any]) -> list[list[Any]]:
         if "perceptual_samples" in part:
             size, whole = part["perceptual_size"], [report["source"]["height"], report["source"]["width"]]
             where = "" if size == whole else f", the middle {size[0]} x {size[1]} texels"
-            what = f"{part['samples']} images; SSIM and delta E: {part['perceptual_samples']}{where}"
+            lines = f", every {_ordinal(part['every'])} row and column" if "every" in part else ""
+            what = f"{part['samples']} images{lines}; SSIM and delta E: {part['perceptual_samples']}{where}"
             rows.append([f"measured on, {name.replace('_', ' ')}", what])
     return rows
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -9,7 +10,7 @@ from typing import Any
 
 from torchmat.btf import Btf
 from torchmat.fitting import FitResult, evaluate
-from torchmat.fitting.evaluate import comparable
+from torchmat.fitting.evaluate import LARGE_TEXELS, comparable
 from torchmat.frames import half_vector
 from torchmat.material_io import packed, save_material
 from torchmat.models import Distribution, Material
@@ -37,7 +38,8 @@ def write_fit(
     report = _with_packing(btf, result)
     # Pictures compare texel by texel; what is stored stays as it is.
     shown, btf = comparable(result.material, btf)
-    pictured = replace(result, material=shown)
+    pictured, btf = _pictured(replace(result, material=shown), btf)
+    drawn = result.material if shown is pictured.material else pictured.material
 
     def companions(building: Path) -> None:
         (building / "report.json").write_text(to_json(report), encoding="utf-8")
@@ -46,27 +48,41 @@ def write_fit(
             (building / "decisions.txt").write_text(decisions_text(choice), encoding="utf-8")
         if pictures:
             rows = shown_samples(btf, pictured)
-            written = _fit_pictures(btf, pictured, result, building / "pictures", rows)
+            written = _fit_pictures(btf, pictured, drawn, building / "pictures", rows)
             if choice:
                 written.insert(0, decisions_picture(choice, building / "pictures" / "decisions.png"))
             with phase("writing the report"):
                 cards, numbers = map_cards(result.material, building), parameter_rows(result.material)
                 certain = [] if result.uncertainty is None else error_cards(result.material, result.uncertainty, building)
-                viewer = viewer_of(result.material, certain)
+                viewer = viewer_of(result.material if certain else drawn, certain)
                 page = fit_page(report, written, rows, cards, numbers, viewer, certain)
                 (building / "report.html").write_text(page, encoding="utf-8")
 
     return save_material(result.material, folder, _provenance(result.report), companions, force, result.uncertainty)
 
 
-def _fit_pictures(btf: Btf, pictured: FitResult, result: FitResult, folder: Path, rows: Sequence[Shown]) -> list[Path]:
+def _pictured(result: FitResult, btf: Btf) -> tuple[FitResult, Btf]:
+    """Return a fit and its images as pictures need them: of large flat ones every so-manieth row and column.
+
+    A page shows 320 of thousands of texels beside each other; a relief's neighbours belong to what is seen, and it stays whole.
+    """
+    material = result.material
+    step = math.ceil(math.sqrt(btf.height * btf.width / LARGE_TEXELS))
+    if step == 1 or material.has_relief:
+        return result, btf
+    lines = slice(0, None, step)
+    coverage = None if result.coverage is None else result.coverage[:, ::step, ::step]
+    return replace(result, material=material.some_texels(lines, lines), coverage=coverage), btf.window(0, 0, btf.height, btf.width, step)
+
+
+def _fit_pictures(btf: Btf, pictured: FitResult, drawn: Material, folder: Path, rows: Sequence[Shown]) -> list[Path]:
     """Write the pictures of a fit, `pictured` in the size of the images, of photographs `rows`; return their paths."""
     with phase("drawing pictures"):
         written = write_pictures(btf, pictured, folder, rows, in_command())
     half = half_vector(btf.lights[:, None], btf.views[None], dim=-1).flatten(0, 1)
     with phase("drawing the maps"):
-        written.append(maps_picture(result.material, folder / "maps.png", half))
-        written.append(hemisphere_picture(result.material, folder / "hemisphere.png", measured=Measured(btf.lights, btf.views)))
+        written.append(maps_picture(drawn, folder / "maps.png", half))
+        written.append(hemisphere_picture(drawn, folder / "hemisphere.png", measured=Measured(btf.lights, btf.views)))
     return written
 
 

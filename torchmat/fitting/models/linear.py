@@ -11,7 +11,7 @@ from torchmat import colour, safe
 from torchmat.btf import Btf
 from torchmat.errors import RangeError, check_option, message
 from torchmat.fitting.models.by_texel import TexelFit, fit_texels
-from torchmat.fitting.models.streamed import LinearFit, Moments, solve_texels, stream_moments
+from torchmat.fitting.models.streamed import Encode, LinearFit, fit_bands, solve_texels, stream_moments
 from torchmat.fitting.recipe import Recipe, Rung
 from torchmat.fitting.relief.surface import Surface
 from torchmat.fitting.shared import Shared
@@ -46,12 +46,11 @@ def encoded(images: Tensor) -> Tensor:
     return torch.where(light > _KNEE, curve, light * 12.92)
 
 
-def _solve(training: Training, basis: str, space: str = LINEAR) -> tuple[Design, Moments, LinearFit]:
+def _asked(training: Training, basis: str, space: str) -> tuple[Btf, Design, Tensor, torch.dtype, bool | None, Encode | None]:
+    """Return what the least squares of a basis in a space are asked for."""
     check_option(f"fit to {basis}", "space", space, SPACES)
-    design = design_of(training, basis)
     encode = encoded if space == SRGB else None
-    moments = stream_moments(training.btf, design, training.used, training.dtype, training.progress, encode)
-    return design, moments, solve_texels(training.btf, design, moments, training.used)
+    return training.btf, design_of(training, basis), training.used, training.dtype, training.progress, encode
 
 
 def _solve_near(training: Training, basis: str, space: str = LINEAR) -> TexelFit:
@@ -62,7 +61,7 @@ def _solve_near(training: Training, basis: str, space: str = LINEAR) -> TexelFit
 
 
 def _solved(training: Training, basis: str, space: str = LINEAR) -> LinearFit:
-    return _solve(training, basis, space)[2] if training.btf.near is None else _solve_near(training, basis, space).fit
+    return fit_bands(*_asked(training, basis, space)) if training.btf.near is None else _solve_near(training, basis, space).fit
 
 
 def fit_texture(training: Training, *, storage: str = "half") -> Fitted:
@@ -108,9 +107,11 @@ def fit_lptm(training: Training, *, space: str = SRGB, storage: str = "half") ->
             and what a solver that steps takes unless it is told.
     """
     if training.btf.near is None:
-        design, moments, solved = _solve(training, "polynomial", space)
+        asked = _asked(training, "polynomial", space)
+        design, moments = asked[1], stream_moments(*asked)
         ones = product(design.left.T, training.used.double()[:, None])[:, 0].to(training.dtype)
         total = torch.einsum("r,rchw->chw", ones, moments.product).clamp(min=0)
+        solved = solve_texels(training.btf, design, moments, training.used, reuse=True)
     else:
         solved, sums = _solve_near(training, "polynomial", space)
         total = sums[BASES["polynomial"].terms.index(_CONSTANT)].clamp(min=0)
@@ -139,7 +140,7 @@ def fit_lambert(training: Training, *, normals: str = "auto", storage: str = "ha
     if btf.near is None:
         design = make_design(btf.light.double(), used, importance=training.importance)
         moments = stream_moments(btf, design, used, dtype, training.progress)
-        solved = solve_texels(btf, design, moments, used)
+        solved = solve_texels(btf, design, moments, used, reuse=True)
     else:
         solved = fit_texels(training, 3, lambda light, view: light).fit
     normal = safe.normalise(colour.luminance(solved.coefficients, dim=1))

@@ -75,7 +75,7 @@ def fit_phong_srf(
         if isinstance(solver, VariableProjection):
             parameters, reason = _beside_residual(training, means, design, lobe, parameters, solver)
     explained = lobe.evaluate(parameters, training.light.double(), training.view.double())[:, :, 0, 0]
-    solved = solve_texels(training.btf, design, moments, training.used, explained)
+    solved = solve_texels(training.btf, design, moments, training.used, explained, reuse=True)
     maps = {"lobe": parameters.to(training.dtype), "residual": solved.coefficients.flatten(0, 1)}
     material = PhongSrf(maps, residual=residual, base=base, storage=storage)
     figures = {"lobe": material.parameters_by_name, **figures}

@@ -1,7 +1,8 @@
-"""The least squares of all texels: one pass over the images.
+"""The least squares of all texels: one pass over the images, a few rows of texels at a time.
 
 All texels share the design matrix, so the right-hand sides are one streamed matrix product. Only texels with samples
-of reduced weight get normal equations of their own.
+of reduced weight get normal equations of their own. A band of rows is small enough for all its samples to stay in the
+processor's cache: image by image, the sums of all texels would be read and written again for each.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from torchmat.btf.btf import Btf
 from torchmat.repeatable import add_product, product, wide_product
 from torchmat.solvers.least_squares import DETERMINED, Design, solve_masked
 
+Encode = Callable[[Tensor], Tensor]
 _TEXELS = 16384  # solved at a time: their normal matrices are the largest tensors
 
 
@@ -29,23 +31,44 @@ class Moments:
 
 def stream_moments(
     btf: Btf, design: Design, used: Tensor, dtype: torch.dtype = torch.float32, progress: bool | None = False,
-    encode: Callable[[Tensor], Tensor] | None = None,
+    encode: Encode | None = None,
 ) -> Moments:
     """Make the one pass over the images of `btf` that a linear fit needs; `encode` makes of them what is fitted."""
+    product = torch.empty(design.rank, 3, btf.height, btf.width, dtype=dtype)
+    means, share = torch.zeros(len(btf), 3, dtype=torch.float64), torch.zeros(len(btf), 1, dtype=torch.float64)
+    coded, encode = _coded(btf, encode, dtype)
+    for rows, band in coded.bands(progress):
+        product[:, :, rows] = _products(band, design, used, dtype, encode, (means, share))
+    return Moments(product, means / share.clamp(min=1e-12))
+
+
+def _coded(
+    btf: Btf, encode: Encode | None, dtype: torch.dtype
+) -> tuple[Btf, Encode | None]:
+    """Return images and what is left to do to them: codes that are looked up in a table can be looked up encoded."""
+    coded = None if encode is None or dtype != torch.float32 else btf.through(encode)
+    return (btf, encode) if coded is None else (coded, None)
+
+
+def _products(
+    band: Btf, design: Design, used: Tensor, dtype: torch.dtype, encode: Encode | None,
+    sums: tuple[Tensor, Tensor] | None = None,
+) -> Tensor:
+    """Return the sums [rank, 3, h, w] of basis times value of a band; adds those of each image's values and weights to `sums`."""
     basis = design.left.to(dtype)
-    total = torch.zeros(design.rank, 3 * btf.height * btf.width, dtype=dtype)
-    means = torch.zeros(len(btf), 3, dtype=torch.float64)
-    for block in btf.blocks(used, dtype, progress):
+    total = torch.zeros(design.rank, 3 * band.height * band.width, dtype=dtype)
+    for block in band.blocks(used, dtype, band=True):
         rows = slice(block.samples.start, block.samples.stop)
         images = block.images if encode is None else encode(block.images)
-        if block.weight is None:
-            means[rows] = images.mean(dim=(2, 3)).double()
-        else:
-            images = images * block.weight
-            share = block.weight.sum(dim=(2, 3))
-            means[rows] = (images.sum(dim=(2, 3)) / share.clamp(min=1e-12)).double()
+        images = images if block.weight is None else images * block.weight
+        if sums is not None:
+            texels = band.height * band.width
+            share = torch.full((1, 1), float(texels)) if block.weight is None else block.weight.sum(dim=(2, 3))
+            mean = images.mean(dim=(2, 3)) if block.weight is None else images.sum(dim=(2, 3)) / share.clamp(min=1e-12)
+            sums[0][rows] += mean.double() * share.double()
+            sums[1][rows] += share.double()
         add_product(total, basis[rows], images.flatten(1))
-    return Moments(total.unflatten(1, (3, btf.height, btf.width)), means)
+    return total.unflatten(1, (3, band.height, band.width))
 
 
 def stream_means(btf: Btf, used: Tensor, texels: Tensor, dtype: torch.dtype = torch.float32) -> Tensor:
@@ -114,16 +137,53 @@ class LinearFit:
     coverage: Tensor
 
 
-def solve_texels(
-    btf: Btf, design: Design, moments: Moments, used: Tensor, explained: Tensor | None = None
+def fit_bands(
+    btf: Btf, design: Design, used: Tensor, dtype: torch.dtype = torch.float32, progress: bool | None = False,
+    encode: Encode | None = None,
 ) -> LinearFit:
-    """Return the least-squares coefficients of every texel for values minus `explained` [sample, 3]."""
+    """Return the least-squares coefficients of every texel, solved as its samples pass: nothing but them is kept."""
+    coded, encode = _coded(btf, encode, dtype)
+    found = _Found(btf, design, dtype)
+    for rows, band in coded.bands(progress):
+        found.add(rows, _solve_band(band, design, _products(band, design, used, dtype, encode), used, None))
+    return found.fit
+
+
+def solve_texels(
+    btf: Btf, design: Design, moments: Moments, used: Tensor, explained: Tensor | None = None, reuse: bool = False
+) -> LinearFit:
+    """Return the least-squares coefficients of every texel for values minus `explained` [sample, 3].
+
+    With `reuse` they take the place of the sums in memory, where they are as many: `moments` is of no use then.
+    """
+    if explained is not None:
+        explained = torch.where(used[:, None], explained.double(), torch.zeros((), dtype=torch.float64))
+    place = moments.product if reuse and design.rank == design.terms else None
+    found = _Found(btf, design, moments.product.dtype, place)
+    for rows, band in btf.bands():
+        found.add(rows, _solve_band(band, design, moments.product[:, :, rows], used, explained))
+    return found.fit
+
+
+class _Found:
+    """What is found of all texels, band by band: coefficients in `place`, if it is given, and coverage."""
+
+    def __init__(self, btf: Btf, design: Design, dtype: torch.dtype, place: Tensor | None = None) -> None:
+        size = (btf.height, btf.width)
+        self.fit = LinearFit(torch.empty(design.terms, 3, *size, dtype=dtype) if place is None else place, torch.empty(1, *size))
+
+    def add(self, rows: slice, band: LinearFit) -> None:
+        self.fit.coefficients[:, :, rows] = band.coefficients
+        self.fit.coverage[:, rows] = band.coverage
+
+
+def _solve_band(btf: Btf, design: Design, sums: Tensor, used: Tensor, explained: Tensor | None) -> LinearFit:
+    """Return the coefficients of the few texels of `btf` from their sums [rank, 3, h, w]."""
+    dtype, target = sums.dtype, sums
     if explained is None:
         explained = torch.zeros(len(btf), 3, dtype=torch.float64)
-    explained = torch.where(used[:, None], explained.double(), torch.zeros((), dtype=torch.float64))
-    dtype = moments.product.dtype
-    shared = product(design.left.T, explained)  # [rank, 3]
-    target = moments.product - shared[:, :, None, None].to(dtype)
+    else:
+        target = sums - product(design.left.T, explained)[:, :, None, None].to(dtype)
     coefficients = wide_product(design.to_coefficients.to(dtype), target.flatten(1)).unflatten(1, target.shape[1:])
     coverage = torch.full((1, btf.height, btf.width), design.rank / design.terms)
     deficit = stream_deficit(btf, design, used, explained)
@@ -139,4 +199,4 @@ def solve_texels(
             flat[:, :, texels] = solved.permute(1, 2, 0).to(dtype)
             ranks[texels] = (rank / design.terms).float()
         coefficients, coverage = flat.unflatten(2, (btf.height, btf.width)), ranks.reshape(coverage.shape)
-    return LinearFit(coefficients.contiguous(), coverage)
+    return LinearFit(coefficients, coverage)
