@@ -258,6 +258,32 @@ def write_image(
     _check_whole(path)
 
 
+def write_tiled(path: str | Path, pixels: np.ndarray, tile: int) -> None:
+    """Write [H, W, C] pixels as an EXR or TIFF in tiles of `tile` x `tile`, with its halves, means of 2 x 2 pixels, down to one.
+
+    Raises DataError, which names the file, when that fails.
+    """
+    import OpenImageIO as oiio
+
+    height, width, channels = pixels.shape
+    spec = oiio.ImageSpec(width, height, channels, _WRITABLE[pixels.dtype.name])
+    spec.attribute("DateTime", _NO_DATE)
+    picture = oiio.ImageBuf(spec)
+    how = oiio.ImageSpec()
+    how.tile_width = how.tile_height = tile
+    how.attribute("compression", "zip")
+    how.attribute("DateTime", _NO_DATE)
+    how.attribute("Software", "torchmat")
+    how.attribute("maketx:filtername", "box")
+    how.attribute("maketx:fixnan", "none")
+    how.set_format(_WRITABLE[pixels.dtype.name])
+    made = picture.set_pixels(oiio.ROI(0, width, 0, height, 0, 1, 0, channels), pixels)
+    made = made and oiio.ImageBufAlgo.make_texture(oiio.MakeTxTexture, picture, _file_name(path), how)
+    if not made:
+        raise _unwritable(path, picture.geterror() or oiio.geterror())
+    _check_whole(path)
+
+
 def _check_space(path: str | Path, pixels: np.ndarray) -> None:
     """Raise DataError before a JPEG when the disk may not hold it: libjpeg ends the whole process where it is full."""
     folder = Path(path).parent

@@ -32,7 +32,7 @@ def losses_of(path):
 
 def test_the_table_has_the_forms_that_come_with_the_package():
     files = {"3pm": ".3pm", "gltf": ".glb", "ptm": ".ptm", "rti": ".rti", "html": ".html"}
-    folders = ("folder", "packed", "materialx", "mitsuba", "blender", "orm", "relight", "openlime", "ktx2")
+    folders = ("folder", "packed", "materialx", "mitsuba", "blender", "orm", "relight", "openlime", "ktx2", "tiled")
     assert {name: one.suffix for name, one in EXPORTERS.items()} == {**files, **dict.fromkeys(folders)}
     assert EXPORTERS["packed"].options == {"depth": 8} and EXPORTERS["folder"].options == {"storage": None}
     assert all(one.description for one in EXPORTERS.values())

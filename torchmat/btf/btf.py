@@ -285,9 +285,11 @@ class Btf:
         arrays += [part.numpy() for part in (self.intensity, self.mask) if part is not None]
         arrays += [] if self.near is None else [part.numpy() for part in self.near.arrays()]
         chosen = np.linspace(0, len(self) - 1, min(len(self), _LOOKED_AT)).round().astype(int)
-        arrays += [part[row] for part in (store.pixels, store.flags) if part is not None for row in chosen]
         for array in arrays:
             digest.update(np.ascontiguousarray(array).tobytes())
+        for part in (store.pixels,) if store.flags is None else (store.pixels, store.flags):
+            for row in chosen:
+                digest.update(taken(part, slice(row, row + 1)).data)
         return digest.hexdigest()
 
     def digest(self) -> str:

@@ -12,6 +12,7 @@ VALID, CLIPPED, INVALID = 0, 1, 2
 RELEASE_BYTES = 256_000_000  # a smaller store stays mapped: faulting its pages in again costs more than it saves
 
 
+_BAND_ROWS = 64  # a window of no more is one of many
 _TAKEN_BYTES = 32_000_000  # of a large mapped array are copied before its pages are dropped again
 
 
@@ -73,6 +74,8 @@ class PixelStore:
         for sample in np.flatnonzero(self.clipped + self.invalid):  # other rows of a flag file are holes, never read
             counts["clipped"][sample] = np.count_nonzero(flags[sample] == CLIPPED)
             counts["invalid"][sample] = np.count_nonzero(flags[sample] == INVALID)
+        if rows.stop is None or rows.stop - (rows.start or 0) > _BAND_ROWS:  # behind a pass over few rows `bands` does
+            release(self.flags, range(len(self.flags)))
         return PixelStore(pixels, flags, **counts)
 
     def picked(self, samples: np.ndarray) -> PixelStore:

@@ -19,7 +19,7 @@ BLOCK_VALUES = 8_000_000  # values of one decoded block: 32 MB in float32, small
 # below the size from which an allocator asks for fresh pages, each of which costs a fault.
 BAND_VALUES, BAND_SAMPLES = 1 << 21, 128
 _KEPT_BYTES = 31 << 20
-_BAND_BYTES = 64_000_000  # of codes that bands pass by before their pages are dropped
+_BAND_BYTES = 16_000_000  # of codes that bands pass by before their pages are dropped
 
 
 class Block(NamedTuple):

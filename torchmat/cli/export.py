@@ -23,7 +23,7 @@ class Export:
     to: str | None = None
     """folder (torchmat's own, with --set storage=png8), 3pm (a shading map's slices), packed (few textures for a shader),
     gltf (GLB), orm (a texture set, with --set vendor=unity), materialx, mitsuba, blender, relight, openlime, ptm, rti (for RTI
-    viewers), ktx2 (half floats), html (one page that shows it, moving, in any browser), or another exporter's name (default:
+    viewers), ktx2 (half floats), tiled (textures in tiles and levels), html (one page that shows it, moving, in any browser), or another exporter's name (default:
     as the suffix of --out says)."""
     out: Path | None = None
     """File or folder to write (default: called as the material, in the current folder). An earlier export there is

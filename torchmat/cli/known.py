@@ -75,7 +75,7 @@ POSITIVE: Bound = ("be positive", 5e-324, sys.float_info.max)
 FROM_1: Bound = ("be at least 1", 1, sys.float_info.max)
 SHARE: Bound = ("lie in [0, 1)", 0, 1 - 2**-53)
 EXPORTERS = (
-    "folder", "3pm", "packed", "gltf", "materialx", "mitsuba", "blender", "orm", "relight", "openlime", "ptm", "rti", "ktx2", "html",
+    "folder", "3pm", "packed", "gltf", "materialx", "mitsuba", "blender", "orm", "relight", "openlime", "ptm", "rti", "ktx2", "html", "tiled",
 )
 PAPERS = ("A3", "A4", "A5", "letter", "legal", "tabloid")
 MESHES = ("patch", "quad", "cube", "sphere", "torus", "teapot")

@@ -16,9 +16,10 @@ from torchmat.material_io.rti.page import OPENLIME
 from torchmat.material_io.rti.ptm_file import PTM
 from torchmat.material_io.rti.relight_folder import RELIGHT
 from torchmat.material_io.rti.rti_file import RTI
+from torchmat.material_io.tiled import TILED
 from torchmat.material_io.volume import VOLUME
 
 for _exporter in (
-    FOLDER, VOLUME, PACKED, GLTF, MATERIALX, MITSUBA, BLENDER, ORM, RELIGHT, OPENLIME, PTM, RTI, KTX2, HTML,
+    FOLDER, VOLUME, PACKED, GLTF, MATERIALX, MITSUBA, BLENDER, ORM, RELIGHT, OPENLIME, PTM, RTI, KTX2, HTML, TILED,
 ):
     register_exporter(_exporter)

@@ -44,7 +44,8 @@ CONVENTIONS = {
 }
 
 
-def _texture_entry(spec: MapSpec, file: str, codes: Codes) -> dict[str, Any]:
+def texture_entry(spec: MapSpec, file: str, codes: Codes) -> dict[str, Any]:
+    """Return what a manifest says of a texture that is written as `codes`."""
     height, width, channels = codes.pixels.shape
     entry: dict[str, Any] = {
         "map": spec.name, "meaning": spec.meaning, "file": file, "height": height, "width": width,
@@ -60,7 +61,7 @@ def write_texture(folder: Path, texture: StoredTexture) -> dict[str, Any]:
     """Write one texture into a folder; return its entry in the manifest."""
     codes = texture.codes()
     write_image(folder / texture.file, codes.pixels)
-    return _texture_entry(texture.spec, texture.file, codes)
+    return texture_entry(texture.spec, texture.file, codes)
 
 
 def manifest_of(

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import NamedTuple
 
 from torch import Tensor
 
+from torchmat.fitting.evaluate import LARGE_TEXELS
 from torchmat.models import Material
 from torchmat.models.storage import STORAGES, MapSpec
 from torchmat.report.inline import data_uri
@@ -68,6 +70,8 @@ def _card(spec: MapSpec, names: tuple[str, ...], part: Tensor, folder: Path) -> 
 
 
 def _picture(spec: MapSpec, part: Tensor) -> tuple[str, tuple[int, int]]:
+    step = math.ceil(math.sqrt(part.shape[1] * part.shape[2] / LARGE_TEXELS))  # of a large map some rows and columns are enough
+    part = part[:, ::step, ::step]
     planes, colours = (hue(part), "gray") if spec.name == "rotation" else (logarithmic(part), "gray") \
         if spec.name == "specular" else seen(spec, part)
     # A table of one row is a strip, not a line.

@@ -8,10 +8,11 @@ from pathlib import Path
 
 import numpy as np
 
-from torchmat.errors import DataError, RangeError, TorchmatError, message
+from torchmat.errors import DataError, RangeError, TorchmatError, check_option, message
 from torchmat.images import read_image, write_image
 from torchmat.material_io.exporter import Exporter, Losses
 from torchmat.material_io.rti.coefficients import coefficients_of
+from torchmat.material_io.rti.deep_zoom import SUFFIX, read_deep_zoom, write_deep_zoom
 from torchmat.material_io.rti.info import checked_info, coefficients_from, info_of
 from torchmat.material_io.rti.losses import losses_of
 from torchmat.material_io.rti.sampled import as_rti, is_rti
@@ -19,9 +20,11 @@ from torchmat.models import Material
 from torchmat.text_file import read_json
 
 INFO = "info.json"
-IMAGES = ("jpg", "png")
+IMAGES, LAYOUTS = ("jpg", "png"), ("auto", "image", "deepzoom")
+_LARGE = 4096  # texels along a side: above, "auto" cuts planes into tiles
 MODELS = ("auto", "ptm", "lptm", "hsh")
 _SUFFIXES = {"jpg": (".jpg", ".jpeg"), "png": (".png",)}
+_PLANE_SUFFIXES = (*(suffix for suffixes in _SUFFIXES.values() for suffix in suffixes), SUFFIX)
 
 
 def is_relight(path: str | Path) -> bool:
@@ -29,7 +32,7 @@ def is_relight(path: str | Path) -> bool:
     folder = Path(path).parent if Path(path).name == INFO else Path(path)
     if not os.path.isfile(folder / INFO):
         return False
-    return any(os.path.isfile(folder / f"plane_0{suffix}") for suffixes in _SUFFIXES.values() for suffix in suffixes) or (
+    return any(os.path.isfile(folder / f"plane_0{suffix}") for suffix in _PLANE_SUFFIXES) or (
         Path(path).name == INFO
     )
 
@@ -52,12 +55,15 @@ def read_relight(path: str | Path) -> Material:
 
 
 def _read_plane(folder: Path, number: int, size: tuple[int, int]) -> np.ndarray:
+    tiles = folder / f"plane_{number}{SUFFIX}"
     files = [folder / f"plane_{number}{suffix}" for suffixes in _SUFFIXES.values() for suffix in suffixes]
     path = next((file for file in files if os.path.isfile(file)), None)
+    if path is None and os.path.isfile(tiles):
+        path = tiles
     if path is None:
-        step = "Restore it; if the planes are cut into tiles, build them again as plain images."
+        step = "Restore it; planes that are cut into tiles are read as Deep Zoom images, plane_0.dzi and so on."
         raise DataError(message(str(files[0]), "the plane", "exist", "it is not there", step))
-    pixels = read_image(path)
+    pixels = read_deep_zoom(path) if path == tiles else read_image(path)
     if pixels.shape != (*size, 3) or pixels.dtype != np.uint8:
         fact = f"it is {pixels.shape} of {pixels.dtype.name}"
         step = "Restore it, or build all planes again."
@@ -65,7 +71,9 @@ def _read_plane(folder: Path, number: int, size: tuple[int, int]) -> np.ndarray:
     return pixels
 
 
-def write_planes(material: Material, folder: Path, image: str, quality: int, model: str) -> tuple[Material, list[Path]]:
+def write_planes(
+    material: Material, folder: Path, image: str, quality: int, model: str, layout: str = "image"
+) -> tuple[Material, list[Path]]:
     """Write ``info.json`` and its planes; return the material that they hold, and the files of the planes."""
     where = "export to relight"
     if image not in IMAGES:
@@ -74,11 +82,17 @@ def write_planes(material: Material, folder: Path, image: str, quality: int, mod
         raise RangeError(message(where, "model", f"be one of {', '.join(MODELS)}", f"it is {model!r}"))
     if not isinstance(quality, int) or not 1 <= quality <= 100:
         raise RangeError(message(where, "quality", "be a whole number of 1 to 100", f"it is {quality!r}", "98 is usual."))
+    check_option(where, "layout", layout, LAYOUTS)
     written = _in_form(material, model)
+    tiles = layout == "deepzoom" or (layout == "auto" and max(material.size) > _LARGE)
     info, planes = info_of(coefficients_of(written), image, quality)
-    files = [folder / f"plane_{number}.{image}" for number in range(len(planes))]
+    files = [folder / f"plane_{number}{SUFFIX if tiles else f'.{image}'}" for number in range(len(planes))]
     for file, pixels in zip(files, planes, strict=True):
-        write_image(file, pixels, quality=quality if image == "jpg" else None)
+        best = quality if image == "jpg" else None
+        if tiles:
+            write_deep_zoom(file, pixels, image, best)
+        else:
+            write_image(file, pixels, quality=best)
     (folder / INFO).write_text(json.dumps(info, indent=1) + "\n", encoding="utf-8")
     return written, files
 
@@ -92,15 +106,16 @@ def _in_form(material: Material, model: str) -> Material:
 
 
 def write_relight(
-    material: Material, path: Path, *, image: str = "jpg", quality: int = 98, model: str = "auto"
+    material: Material, path: Path, *, image: str = "jpg", quality: int = 98, model: str = "auto", layout: str = "auto"
 ) -> Losses:
     """Write a folder of relight's, which OpenLIME shows.
 
     A `ptm`, `lptm` or `hsh` in codes of a screen is written as it is; any other material is fitted first, as it is seen along the
     normal. `image`: "jpg" at `quality`, which is what viewers load, or "png", which holds the codes exactly. `model`: "ptm", "lptm",
-    "hsh", or "auto": the material's own, and of others hsh.
+    "hsh", or "auto": the material's own, and of others hsh. `layout`: "image" is a file a plane, "deepzoom" tiles in levels, of which
+    a viewer loads what it shows (`rti.deep_zoom`), "auto" tiles above 4096 texels on a side.
     """
-    written, _ = write_planes(material, path, image, quality, model)
+    written, _ = write_planes(material, path, image, quality, model, layout)
     return losses_of(material, written, read_relight(path), "8 bits" if image == "png" else f"8 bits, JPEG of quality {quality}")
 
 
