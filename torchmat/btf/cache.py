@@ -31,6 +31,7 @@ from torchmat.btf.pixels import Normaliser, PixelOptions, checksum, decode_sampl
 from torchmat.btf.readers import open_pixels
 from torchmat.btf.source import File, Folder, Zip
 from torchmat.btf.store import PixelStore
+from torchmat.cache_place import cache_place
 from torchmat.errors import DataError, RangeError, message, notice
 from torchmat.text_file import read_text
 
@@ -48,15 +49,7 @@ def cache_folder(cache: bool | str | Path) -> Path | None:
         return None
     if cache is not True:
         return Path(cache)
-    if os.environ.get("TORCHMAT_CACHE"):
-        return Path(os.environ["TORCHMAT_CACHE"])
-    if os.environ.get("XDG_CACHE_HOME"):
-        return Path(os.environ["XDG_CACHE_HOME"], "torchmat")
-    try:
-        return Path.home() / ".cache" / "torchmat"
-    except RuntimeError as error:
-        step = "Set TORCHMAT_CACHE to a folder, or turn the cache off (cache=False)."
-        raise DataError(message("load_btf", "the cache folder", "be known", str(error), step)) from error
+    return cache_place()
 
 
 def _limit_bytes() -> float:

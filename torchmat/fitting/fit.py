@@ -18,6 +18,7 @@ from torchmat.btf.lambert import lambert_of
 from torchmat.btf.lit import paired_lights
 from torchmat.btf.tiling import decided
 from torchmat.errors import RangeError, check_option, message
+from torchmat.fast import road_taken
 from torchmat.fitting.between import AUTO as LIGHT_AUTO
 from torchmat.fitting.between import MAP as LIGHT_MAP
 from torchmat.fitting.certainty.estimate import uncertainty as uncertainty_of
@@ -289,7 +290,7 @@ def _described(btf: Btf, config: FitConfig, fitted: Fitted) -> dict[str, Any]:
         "data": config.data,
         "bytes_per_texel": material.bytes_per_texel, "shared_bytes": material.shared_bytes,
         "load_seconds": btf.source.load_seconds, "shade_mtexels_per_s": shading_rate(material),
-        "peak_rss_mb": peak_memory_mb(), "stop_reason": fitted.stop_reason, "coverage": _coverage(fitted.coverage, btf.mask),
+        "peak_rss_mb": peak_memory_mb(), "fast": road_taken(), "stop_reason": fitted.stop_reason, "coverage": _coverage(fitted.coverage, btf.mask),
         **_source(btf), "figures": fitted.figures, "versions": versions(),
     }
 

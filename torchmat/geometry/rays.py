@@ -18,6 +18,7 @@ from torch import Tensor
 
 from torchmat import safe
 from torchmat.errors import ShapeError, check_positive, message
+from torchmat.fast import look_up as fast_look_up, rays as fast_rays
 from torchmat.geometry.normals import check_height, pad_border
 from torchmat.planes import common_lead
 
@@ -48,6 +49,11 @@ def look_up(maps: Tensor, uv: Tensor, tiles: bool = True, mode: str = "bilinear"
 
     `mode` is that of `grid_sample`: bilinear, bicubic or nearest.
     """
+    found = fast_look_up.look_up(maps, uv, tiles, mode, _look_up)
+    return _look_up(maps, uv, tiles, mode) if found is None else found
+
+
+def _look_up(maps: Tensor, uv: Tensor, tiles: bool, mode: str) -> Tensor:
     border = (2 if mode == "bicubic" else 1) if tiles else 0
     return _sampled(pad_border(maps, True, border) if tiles else maps, uv, border, mode)
 
@@ -163,7 +169,8 @@ def trace_view(height: Tensor, view: Tensor, uv: Tensor | None = None, tiles: bo
     low, high = float(height.detach().min()), float(height.detach().max())
     field = _Field(height, uv, slope, tiles, centres, max(abs(low), abs(high)))
     with torch.no_grad():
-        root = _first_root(field, low, high)
+        root = fast_rays.first_roots(height, uv, slope, low, high, REFINEMENTS, tiles)
+        root = _first_root(field, low, high) if root is None else root
     wanted = torch.is_grad_enabled() and any(x.requires_grad for x in (height, slope, uv))
     hit_height = _implicit(field, root) if wanted else root
     hit = uv + hit_height * slope
@@ -217,6 +224,9 @@ def clearance(height: Tensor, direction: Tensor, uv: Tensor | None = None, tiles
     centres = uv is None
     uv, slope, lead = _batched("clearance", height, direction, uv)
     span = float(height.detach().max() - height.detach().min())
+    found = fast_rays.clearances(height, uv, slope, span, _SHORTEST, tiles, with_rise=False)
+    if found is not None:
+        return found[0].reshape(*lead, *found[0].shape[1:])
     field = _Field(height, uv, slope, tiles, centres, span)
     run = _length(slope).clamp(min=_SHORTEST)  # distance along the plane for each unit of height
     start = field.along(torch.zeros_like(run))
@@ -251,6 +261,9 @@ def find_obstacles(height: Tensor, direction: Tensor, tiles: bool = True) -> Obs
     """Return what `clearance` finds along `direction` [n, 3, 1, 1], and where, without gradients."""
     uv, slope, _ = _batched("find_obstacles", height, direction, None)
     span = max(float(height.max() - height.min()), torch.finfo(height.dtype).tiny)
+    found = fast_rays.clearances(height, uv, slope, span, _SHORTEST, tiles, with_rise=True)
+    if found is not None and found[1] is not None:
+        return Obstacles(found[1], slope)
     field = _Field(height, uv, slope, tiles, True, span)
     run = _length(slope).clamp(min=_SHORTEST)
     start = field.along(torch.zeros_like(run))

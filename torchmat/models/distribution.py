@@ -18,6 +18,7 @@ from torch import Tensor
 
 from torchmat import frames, safe
 from torchmat.errors import RangeError, ShapeError, check_option, check_positive, message
+from torchmat.fast import distribution as fast_distribution
 from torchmat.geometry import normals_from_slopes, slopes_from_height, slopes_from_normals
 from torchmat.models.base import Material, combine
 from torchmat.models.ggx import smith_denominator
@@ -33,6 +34,7 @@ _MOST_LOBES = 12
 # on all of them. It changes what is lit at 1 degree, and seen as flatly, by 0.3 %.
 _GRAZING = 1e-4
 _PARTS = 16
+_FAST = ("diffuse", "specular_mask", "fresnel", "index", "specular")  # maps that the compiled part takes as they are
 _LEAST_RISE = 1e-12  # that a logarithm is taken of
 
 
@@ -170,27 +172,44 @@ class Distribution(Material):
         colour = self._looked_up(half if frame is None else combine(half, frame))
         a, b = (n_dot_l, n_dot_v) if "tilt" not in self.maps else (self._tilted(n_dot_l), self._tilted(n_dot_v))
         share = n_dot_l / torch.addcmul(a + (b + _GRAZING), a, b, value=-1)
-        return torch.addcmul(self._specular(colour, share, squared), self.maps["diffuse"], n_dot_l)
+        rise = self._rise(squared) if "fresnel" in self.maps else None
+        return torch.addcmul(self._specular(colour, share, rise), self.maps["diffuse"], n_dot_l)
 
     def _masked(self, light: Tensor, view: Tensor, frame: Tensor | None) -> Tensor:
         """Return the value by Smith's denominator, of directions that are turned into the texels' frames."""
         half, squared = _half(light, view)  # before they are turned: rounding would decide it where they are opposite
-        light, view, half = (d if frame is None else combine(d, frame) for d in (light, view, half))
-        n_dot_l, denominator = smith_denominator(light, view, spread(self.maps["masking"].square(), *light.shape[-2:]))
-        share = n_dot_l / (denominator + _GRAZING)
-        return torch.addcmul(self._specular(self._looked_up(half), share, squared), self.maps["diffuse"], n_dot_l)
+        squares, rise = self.maps["masking"].square(), self._rise(squared) if "fresnel" in self.maps else None
+        found = fast_distribution.value(
+            light, view, half, fast_distribution.Maps(rise, frame, squares, **{name: self.maps[name] for name in _FAST if name in self.maps}),
+            self.specular_spacing != EVEN, self._by_smith,
+        )
+        return self._smiths(light, view, half, rise, frame, squares) if found is None else found
 
-    def _specular(self, colour: Tensor, share: Tensor, squared: Tensor) -> Tensor:
-        """Return the specular part of what the half vector's `colour` gives: `share` is N.L / D, `squared` |L + V|^2."""
+    def _by_smith(self, light: Tensor, view: Tensor, half: Tensor, given: fast_distribution.Maps) -> Tensor:
+        """Return what `_smiths` does of other maps."""
+        maps = {name: value for name, value in vars(given).items() if name in _FAST and value is not None}
+        return self.sharing({**self.maps, **maps})._smiths(light, view, half, given.rise, given.frame, given.squares)
+
+    def _smiths(
+        self, light: Tensor, view: Tensor, half: Tensor, rise: Tensor | None, frame: Tensor | None, squares: Tensor
+    ) -> Tensor:
+        light, view, half = (d if frame is None else combine(d, frame) for d in (light, view, half))
+        n_dot_l, denominator = smith_denominator(light, view, spread(squares, *light.shape[-2:]))
+        share = n_dot_l / (denominator + _GRAZING)
+        return torch.addcmul(self._specular(self._looked_up(half), share, rise), self.maps["diffuse"], n_dot_l)
+
+    def _specular(self, colour: Tensor, share: Tensor, rise: Tensor | None) -> Tensor:
+        """Return the specular part of what the half vector's `colour` gives: `share` is N.L / D, `rise` Fresnel's towards grazing."""
         maps = self.maps
-        if "fresnel" in maps:
-            grazing = (1 - torch.sqrt(squared) / 2).clamp(min=0)  # both have length 1: H.L is half of |L + V|
-            share = share * (maps["fresnel"] + (1 - maps["fresnel"]) * self._rise(grazing))
+        if rise is not None:
+            share = share * (maps["fresnel"] + (1 - maps["fresnel"]) * rise)
         if "specular_mask" in maps:
             share = share * maps["specular_mask"]
         return colour * (math.pi * share)
 
-    def _rise(self, grazing: Tensor) -> Tensor:
+    def _rise(self, squared: Tensor) -> Tensor:
+        """Return how far reflectance rises to 1 where |L + V|^2 is `squared`."""
+        grazing = (1 - torch.sqrt(squared) / 2).clamp(min=0)  # both have length 1: H.L is half of |L + V|
         exponent = self.options["fresnel_exponent"]
         if isinstance(exponent, Tensor):  # exp and log round alike in every thread's share, a power does not
             return (spread(exponent, *grazing.shape[-2:]) * grazing.clamp(min=_LEAST_RISE).log()).exp()

@@ -1,0 +1,127 @@
+"""The distribution material's value by the compiled part, with the gradients of all its maps."""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from torchmat.fast.call import call, fits, wants_gradient
+from torchmat.fast.switch import library
+
+_STRIPS = 16  # as in distribution.h
+
+
+@dataclass(frozen=True)
+class Maps:
+    """What the value is made of, None for what is not there.
+
+    `rise` [n, 1, 1, 1] is Fresnel's towards grazing, `frame` [xyz, along across normal, H, W], `squares` [2] those of Smith's
+    roughnesses; the others are the material's maps.
+    """
+
+    rise: Tensor | None
+    frame: Tensor | None
+    squares: Tensor
+    diffuse: Tensor
+    specular: Tensor
+    specular_mask: Tensor | None = None
+    fresnel: Tensor | None = None
+    index: Tensor | None = None
+
+    @property
+    def every(self) -> list[Tensor | None]:
+        """All of it, in the order in which a Maps is made."""
+        return list(vars(self).values())
+
+    @property
+    def planes(self) -> list[Tensor | None]:
+        """What each texel has of its own, in the order in which the functions take it."""
+        return [self.frame, self.diffuse, self.specular_mask, self.fresnel, self.index]
+
+
+Plain = Callable[[Tensor, Tensor, Tensor, Maps], Tensor]
+
+
+def value(light: Tensor, view: Tensor, half: Tensor, maps: Maps, dense: bool, plain: Plain) -> Tensor | None:
+    """Return the value [n, 3, H, W] under directions [n, 3, 1, 1]; None where that is for plain torch.
+
+    `plain` does the same with torch: what is differentiated twice goes through it.
+    """
+    found, directions = library(), (light, view, half)
+    if found is None or any(one.ndim != 4 or one.shape[2:] != (1, 1) or len(one) != len(light) for one in directions):
+        return None
+    if not fits(*directions, *(one for one in maps.every if one is not None)) or wants_gradient(*directions):
+        return None
+    return _Value.apply(found, dense, plain, *directions, *maps.every)
+
+
+class _Value(torch.autograd.Function):
+    @staticmethod
+    def forward(
+        ctx: Any, found: ctypes.CDLL, dense: bool, plain: Plain, light: Tensor, view: Tensor, half: Tensor, *given: Tensor | None,
+    ) -> Tensor:
+        ctx.save_for_backward(light, view, half, *given)
+        ctx.how = found, dense, plain
+        maps = Maps(*given)  # type: ignore[arg-type]
+        arguments = _arguments(found, dense, (light, view, half), maps)
+        out = light.new_empty(len(light), 3, *maps.diffuse.shape[1:])
+        call(found, "distribution", *arguments, out)
+        return out
+
+    @staticmethod
+    def backward(ctx: Any, *above: Tensor) -> tuple[Tensor | None, ...]:
+        light, view, half, *given = ctx.saved_tensors
+        found, dense, plain = ctx.how
+        maps, wanted = Maps(*given), ctx.needs_input_grad[6:]
+        if torch.is_grad_enabled():  # to be differentiated once more
+            sources = [one for one, want in zip(maps.every, wanted, strict=True) if want and one is not None]
+            gradients = iter(torch.autograd.grad(plain(light, view, half, maps), sources, above[0], create_graph=True))
+            return (None,) * 6 + tuple(next(gradients) if want else None for want in wanted)
+        arguments = _arguments(found, dense, (light, view, half), maps)
+        of_planes = [None if one is None else torch.zeros(one.shape, dtype=one.dtype) for one in maps.planes]
+        of_table, of_squares, of_rise = (light.new_zeros(_STRIPS, size) for size in (_table_size(maps.specular), 2, len(light)))
+        call(found, "distribution_gradients", *arguments, above[0].contiguous(), *of_planes, of_table, of_squares, of_rise)
+        rise = None if maps.rise is None else _summed(of_rise).reshape(maps.rise.shape)
+        frame, diffuse, *others = of_planes
+        of_specular = _of_specular(_summed(of_table), maps.specular)
+        of = (rise, frame, _summed(of_squares), diffuse, of_specular, *others)
+        return (None,) * 6 + tuple(one if want else None for one, want in zip(of, wanted, strict=True))
+
+
+def _table_size(specular: Tensor) -> int:
+    return len(specular) // 3 * (specular.shape[-1] + 1) ** 2 * 4
+
+
+def _arguments(found: ctypes.CDLL, dense: bool, directions: tuple[Tensor, ...], maps: Maps) -> list[Any]:
+    """Return what the functions are given of samples and maps."""
+    lobes, size = len(maps.specular) // 3, maps.specular.shape[-1]
+    table = maps.specular.new_empty(_table_size(maps.specular))
+    call(found, "distribution_table", maps.specular.contiguous(), table, lobes, size)
+    before = [*(one.reshape(len(one), 3) for one in directions), maps.rise, *maps.planes, table, maps.squares]
+    texels, channels = maps.diffuse.shape[1] * maps.diffuse.shape[2], 1 if maps.specular_mask is None else len(maps.specular_mask)
+    counts = [len(directions[0]), texels, size, lobes, channels, dense]
+    return [*(one if one is None else one.contiguous() for one in before), *counts]
+
+
+def _summed(strips: Tensor) -> Tensor:
+    """Return the sum of the strips, one after the other."""
+    total = strips[0].clone()
+    for strip in strips[1:]:
+        total += strip
+    return total
+
+
+def _of_specular(of_table: Tensor, specular: Tensor) -> Tensor:
+    """Return the gradient of the specular maps of that of their packed table, whose last row and column go on."""
+    size = specular.shape[-1]
+    whole = of_table.reshape(-1, size + 1, size + 1, 4)
+    own = whole[:, :size, :size].clone()
+    own[:, -1] += whole[:, size, :size]
+    own[:, :, -1] += whole[:, :size, size]
+    own[:, -1, -1] += whole[:, size, size]
+    return own[..., :3].movedim(-1, 1).reshape(specular.shape)
