@@ -21,6 +21,7 @@ from torchmat.capture.board import BLACK, WHITE, Board
 from torchmat.models import Material
 
 Shade = Callable[[torch.Tensor, torch.Tensor], torch.Tensor]
+_BAND = 32  # rows of pixels at once
 _FINE = 6  # rays along a pixel's side on mirror spheres, whose highlights are small
 TABLE, SURROUNDINGS, MIRROR = 0.12, 0.01, 0.8  # what lies around the paper, what spheres see above it, and what they keep of it
 
@@ -129,10 +130,12 @@ class Studio:
         """Return the mean radiance [rows, columns, 3] of rays x rays rays in each pixel of a grid."""
         total = np.zeros((len(rows), len(columns), 3), np.float32)
         origin, turn = np.asarray(shot.position, np.float32), shot.rotation.astype(np.float32)
-        for dx, dy in _within_pixel(rays**2):
-            x, y = self.lens.straight(columns + dx, rows + dy)
-            ray = x[..., None] * turn[0] + y[..., None] * turn[1] + turn[2]
-            total += self._mirrored(shot, texture, origin, ray) if mirrors else self._plane(shot, texture, origin, ray)[0]
+        for start in range(0, len(rows), _BAND):  # what is done at once stays in the processor's cache
+            band = slice(start, start + _BAND)
+            for dx, dy in _within_pixel(rays**2):
+                x, y = self.lens.straight(columns + dx, rows[band] + dy)
+                ray = x[..., None] * turn[0] + y[..., None] * turn[1] + turn[2]
+                total[band] += self._mirrored(shot, texture, origin, ray) if mirrors else self._plane(shot, texture, origin, ray)[0]
         return total / rays**2
 
     def _plane(self, shot: Shot, texture: np.ndarray, origin: np.ndarray, ray: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

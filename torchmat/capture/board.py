@@ -77,7 +77,7 @@ class Board:
     def square(self) -> float:
         """The side of a square in millimetres: nominally a multiple of half of one."""
         width, height = self.page
-        return np.floor(2 * min((width - 2 * _MARGIN) / COLUMNS, (height - 2 * _MARGIN) / ROWS)) / 2 * self.scale
+        return float(np.floor(2 * min((width - 2 * _MARGIN) / COLUMNS, (height - 2 * _MARGIN) / ROWS)) / 2 * self.scale)
 
     @cached_property
     def bar_length(self) -> float:

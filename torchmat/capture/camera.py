@@ -17,7 +17,10 @@ from torchmat.errors import DataError, FitError, message
 
 # What is let free, one after the other: focal length alone, then a bent image, the principal point, a tilted lens, a strongly bent image.
 # Each with the fewest photographs from which it is asked for, and how many numbers it has.
-_MODELS = (("focal length", 1, 1), ("k1", 2, 2), ("k1, k2", 4, 3), ("k1, k2, principal point", 6, 5), ("k1, k2, p1, p2, principal point", 8, 7), ("k1, k2, k3, p1, p2, principal point", 12, 8))
+_MODELS = (
+    ("focal length", 1, 1), ("k1", 2, 2), ("k1, k2", 4, 3), ("k1, k2, principal point", 6, 5), ("k1, k2, p1, p2, principal point", 8, 7),
+    ("k1, k2, k3, p1, p2, principal point", 12, 8),
+)
 _GAIN = 1.02  # by which a larger model must lower the residual beside paying for its numbers
 _SURE = 0.02  # standard error of the focal length, as a share of it, above which views are too alike to tell it
 _OUTLIER, _OUTLIER_PIXELS, _OUTLIER_SHARE = 4.0, 1.0, 3e-4  # times the median residual, pixels, and of the diagonal: what all three exceed
@@ -124,7 +127,10 @@ def _exif_focal(photograph: Photograph) -> float | None:
 def _flags(free: str) -> int:
     cv2 = opencv()
     flags = cv2.CALIB_USE_INTRINSIC_GUESS | cv2.CALIB_FIX_ASPECT_RATIO
-    fixed = {"k1": cv2.CALIB_FIX_K1, "k2": cv2.CALIB_FIX_K2, "k3": cv2.CALIB_FIX_K3, "p1": cv2.CALIB_ZERO_TANGENT_DIST, "principal": cv2.CALIB_FIX_PRINCIPAL_POINT}
+    fixed = {
+        "k1": cv2.CALIB_FIX_K1, "k2": cv2.CALIB_FIX_K2, "k3": cv2.CALIB_FIX_K3, "p1": cv2.CALIB_ZERO_TANGENT_DIST,
+        "principal": cv2.CALIB_FIX_PRINCIPAL_POINT,
+    }
     for word, flag in fixed.items():
         flags |= 0 if word in free else flag
     return flags
@@ -138,7 +144,9 @@ def _solve(points: dict[int, Seen], size: tuple[int, int], focal: float, free: s
     pixels = [one.pixels.astype(np.float32) for one in points.values()]
     flags = _flags(free) | (cv2.CALIB_FIX_FOCAL_LENGTH if fixed else 0)
     stop = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 100, 1e-10)
-    _, matrix, distortion, turns, shifts, deviations, _, _ = cv2.calibrateCameraExtended(places, pixels, size, matrix, distortion, flags=flags, criteria=stop)
+    _, matrix, distortion, turns, shifts, deviations, _, _ = cv2.calibrateCameraExtended(
+        places, pixels, size, matrix, distortion, flags=flags, criteria=stop,
+    )
     camera = Camera(matrix, distortion.reshape(-1)[:5], size)
     poses = {index: Pose(cv2.Rodrigues(turn)[0], shift.reshape(3)) for index, turn, shift in zip(points, turns, shifts, strict=True)}
     errors = {index: one.errors(camera, poses[index]) for index, one in points.items()}
@@ -162,7 +170,8 @@ def _trimmed(points: dict[int, Seen], solved: _Solved) -> dict[int, Seen]:
 def _selected(points: dict[int, Seen], size: tuple[int, int], exif: float | None) -> _Solved:
     """Return the camera with as many numbers as pay."""
     if len(points) < _FEWEST and exif is None:
-        fact, step = f"{len(points)} can be used and their files name no focal length", f"Take at least {_FEWEST}, some of them from 30 to 50 degrees beside the normal."
+        fact = f"{len(points)} can be used and their files name no focal length"
+        step = f"Take at least {_FEWEST}, some of them from 30 to 50 degrees beside the normal."
         raise FitError(message("capture", "photographs", "tell the focal length", fact, step))
     focal = exif or _FOCAL_SHARE * max(size)
     best = _solve(points, size, focal, _MODELS[0][0])

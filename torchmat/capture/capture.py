@@ -71,7 +71,8 @@ def capture(
     grid = choose_grid(board, scene.cameras, scene.poses, texel, height or 0.0)
     registered = register(scene, light, grid, find_height=height is None, show=show) if refine else None
     grid = grid if registered is None else replace(grid, height=registered.height)
-    steps = [_scale(board, said), _with_pictures(located), *located.steps[1:], *light.steps, *([] if registered is None else [registered.step]), _texels(grid, texel)]
+    last = [_texels(grid, texel)] if registered is None else [registered.step, _texels(grid, texel)]
+    steps = [_scale(board, said), _with_pictures(located), *located.steps[1:], *light.steps, *last]
     return _written(out, scene, light, grid, registered, steps, located.left_out, force, show)
 
 
@@ -115,10 +116,8 @@ def _with_pictures(located: Located) -> Step:
     """Return the first step with some photographs in which the corners that were found are marked."""
     count = len(located.scene.photographs)
     chosen = sorted({round(place) for place in np.linspace(0, count - 1, min(_SHOWN, count))})
-    pictures = {
-        f"{located.scene.photographs[index].name}: the corners that were found": marked(located.scene.photographs[index].linear(), located.detections[index].pixels)
-        for index in chosen
-    }
+    some = [(located.scene.photographs[index], located.detections[index].pixels) for index in chosen]
+    pictures = {f"{one.name}: the corners that were found": marked(one.linear(), pixels) for one, pixels in some}
     return replace(located.steps[0], pictures=pictures)
 
 
@@ -152,10 +151,15 @@ def _written(
 
     near = light.position is not None
     lights = light.light if light.position is None else light.position
-    manifest = manifest_text(names, grid, np.array([pose.position for pose in scene.poses]), np.where(np.isfinite(lights), lights, _FAR * light.light), near)
+    views = np.array([pose.position for pose in scene.poses])
+    manifest = manifest_text(names, grid, views, np.where(np.isfinite(lights), lights, _FAR * light.light), near)
 
     def record() -> dict[str, Any]:
-        return {"steps": {step.name: {"found": step.found, "residual": step.residual, **step.figures, "notes": list(step.notes)} for step in all_steps()}}
+        return {"steps": {step.name: _said(step) for step in all_steps()}}
 
     folder = write_capture(out, names, pictures(), manifest, record, lambda: capture_page(out, all_steps()), force)
     return Captured(folder, all_steps(), grid, tuple(one.name for one in scene.photographs), left_out)
+
+
+def _said(step: Step) -> dict[str, Any]:
+    return {"found": step.found, "residual": step.residual, **step.figures, "notes": list(step.notes)}

@@ -94,13 +94,15 @@ def locate(board: Board, photographs: Sequence[Photograph], unread: dict[str, st
 def _photographs(photographs: Sequence[Photograph], detections: Sequence[Detection], unread: dict[str, str], left_out: dict[str, str]) -> Step:
     total = len(photographs) + len(unread)
     blur = [one.blur for one in detections if not one.reason]
-    rows = [(one.name, len(detection.corners), detection.blur, left_out.get(one.name, "")) for one, detection in zip(photographs, detections, strict=True)]
+    pairs = zip(photographs, detections, strict=True)
+    rows = [(one.name, len(detection.corners), detection.blur, left_out.get(one.name, "")) for one, detection in pairs]
     rows += [(name, 0, float("nan"), reason) for name, reason in unread.items()]
-    return Step(
-        "board", f"{total - len(left_out)} of {total} photographs are used", f"edges {np.median(blur) if blur else np.nan:.2f} px (standard deviation)",
-        {"photographs": total, "used": total - len(left_out), "left_out": left_out}, ("photograph", "corners", "blur in pixels", "left out because"), rows,
-        notes=[f"{name}: {reason}" for name, reason in left_out.items()],
-    )
+    used = total - len(left_out)
+    figures = {"photographs": total, "used": used, "left_out": left_out}
+    header = ("photograph", "corners", "blur in pixels", "left out because")
+    notes = [f"{name}: {reason}" for name, reason in left_out.items()]
+    residual = f"edges {np.median(blur) if blur else np.nan:.2f} px (standard deviation)"
+    return Step("board", f"{used} of {total} photographs are used", residual, figures, header, rows, notes=notes)
 
 
 def _camera(calibration: Calibration) -> Step:
@@ -110,9 +112,11 @@ def _camera(calibration: Calibration) -> Step:
         "size": list(camera.size), "matrix": camera.matrix.tolist(), "distortion": camera.distortion.tolist(), "model": calibration.model,
         "rms_pixels": calibration.rms, "focal_error": calibration.focal_error,
     }
-    rows = [("focal length", focal, "pixels"), ("its standard error", 100 * calibration.focal_error, "%"), ("principal point, column", middle[0], "pixels")]
-    rows += [("principal point, row", middle[1], "pixels"), *((name, value, "") for name, value in zip(("k1", "k2", "p1", "p2", "k3"), camera.distortion, strict=True))]
-    return Step("camera", f"focal length {focal:.0f} px; found: {calibration.model}", f"{calibration.rms:.2f} px rms", figures, ("", "value", "unit"), rows, notes=calibration.notes)
+    rows = [("focal length", focal, "pixels"), ("its standard error", 100 * calibration.focal_error, "%")]
+    rows += [("principal point, column", middle[0], "pixels"), ("principal point, row", middle[1], "pixels")]
+    rows += [(name, value, "") for name, value in zip(("k1", "k2", "p1", "p2", "k3"), camera.distortion, strict=True)]
+    found = f"focal length {focal:.0f} px; found: {calibration.model}"
+    return Step("camera", found, f"{calibration.rms:.2f} px rms", figures, ("", "value", "unit"), rows, notes=calibration.notes)
 
 
 def _poses(scene: Scene, calibration: Calibration, kept: Sequence[int]) -> Step:
@@ -122,7 +126,9 @@ def _poses(scene: Scene, calibration: Calibration, kept: Sequence[int]) -> Step:
     residuals = [calibration.residuals[index] for index in kept]
     rows = [(one.name, *cells) for one, *cells in zip(scene.photographs, polar, azimuth, distance, residuals, strict=True)]
     found = f"{distance.min():.0f} to {distance.max():.0f} mm away, {polar.min():.0f} to {polar.max():.0f} degrees beside the normal"
-    figures = {one.name: {"position_mm": place.tolist(), "rms_pixels": rms} for one, place, rms in zip(scene.photographs, positions, residuals, strict=True)}
+    each = zip(scene.photographs, positions, residuals, strict=True)
+    figures = {one.name: {"position_mm": place.tolist(), "rms_pixels": rms} for one, place, rms in each}
     # An error e of a corner turns the view by about e pixels over the focal length: a bound, for there are many corners.
     worst = float(np.degrees(max(residuals) / calibration.camera.matrix[0, 0]))
-    return Step("poses", found, f"at most {worst:.2f} degrees by one corner's error", figures, ("photograph", "polar", "azimuth", "mm away", "rms in pixels"), rows)
+    header = ("photograph", "polar", "azimuth", "mm away", "rms in pixels")
+    return Step("poses", found, f"at most {worst:.2f} degrees by one corner's error", figures, header, rows)

@@ -14,7 +14,8 @@ _SIDE = 1600  # pixels along the longer side suffice for markers
 _LEVELS = (1.0, 0.5, 0.25, 0.125)  # of that; blurred markers are found where the blur is small
 _ENOUGH, LEAST = 8, 3  # markers with which no other scale is tried, and with which a board is known
 _TOLERANCE = 0.012  # of the picture's diagonal: what a lens bends
-_FOREIGN = {"DICT_4X4_1000": 6, "DICT_6X6_1000": 4, "DICT_7X7_1000": 4, "DICT_ARUCO_ORIGINAL": 6, "DICT_APRILTAG_36h11": 4}  # and how many are no chance
+# Other families, and how many of their markers are no chance.
+_FOREIGN = {"DICT_4X4_1000": 6, "DICT_6X6_1000": 4, "DICT_7X7_1000": 4, "DICT_ARUCO_ORIGINAL": 6, "DICT_APRILTAG_36h11": 4}
 
 
 class Markers(NamedTuple):

@@ -113,7 +113,8 @@ def _mapped(grid: Grid, camera: Camera, pose: Pose, rows: slice, shift: np.ndarr
     def at(across: float, down: float) -> np.ndarray:
         moved = np.stack((column + across, row + down), axis=-1) @ move[:, :2].T + move[:, 2]
         step_y, step_x = grid.texel
-        points = np.stack((grid.box[0] + (moved[..., 0] + 0.5) * step_x, grid.box[3] - (moved[..., 1] + 0.5) * step_y, np.full(moved.shape[:-1], grid.height)), axis=-1)
+        x, y = grid.box[0] + (moved[..., 0] + 0.5) * step_x, grid.box[3] - (moved[..., 1] + 0.5) * step_y
+        points = np.stack((x, y, np.full(x.shape, grid.height)), axis=-1)
         return np.nan_to_num(pose.project(camera, points), nan=-1e6)
 
     jacobian = np.stack((at(0.5, 0) - at(-0.5, 0), at(0, 0.5) - at(0, -0.5)), axis=-1)

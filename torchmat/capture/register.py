@@ -122,14 +122,16 @@ def _height(found: Sequence[Alignment], scene: Scene, grid: Grid, least: float) 
     if known.sum() < 4:
         return None
     slope, target = -(views[known, :2] / views[known, 2:]), beside[known]
-    design = np.concatenate([np.column_stack((slope[:, axis], np.full(len(slope), axis == 0), np.full(len(slope), axis == 1))) for axis in (0, 1)]).astype(float)
-    values, weight = np.concatenate((target[:, 0], target[:, 1])), np.ones(2 * len(slope))
+    count = len(slope)
+    design = np.zeros((2 * count, 3))  # the height, and where the mean of the others lies
+    design[:, 0], design[:count, 1], design[count:, 2] = slope.T.reshape(-1), 1, 1
+    values, weight = np.concatenate((target[:, 0], target[:, 1])), np.ones(2 * count)
     for _ in range(10):  # Huber's weights: a sample that was moved in one photograph does not count much
         solution, *_ = np.linalg.lstsq(design * weight[:, None], values * weight, rcond=None)
         rest = np.abs(values - design @ solution)
         scale = 1.5 * float(np.median(rest)) + 1e-9
         weight = np.sqrt(np.minimum(1, 1.5 * scale / np.maximum(rest, 1e-12)))
-    flat = np.abs(values - np.concatenate([np.full(len(slope), np.median(target[:, axis])) for axis in (0, 1)]))
+    flat = np.abs(values - np.concatenate([np.full(count, np.median(target[:, axis])) for axis in (0, 1)]))
     normal = np.linalg.inv((design * weight[:, None] ** 2).T @ design)
     error = float(np.sqrt(normal[0, 0])) * scale
     height = float(solution[0])
@@ -148,10 +150,11 @@ def _step(
             notes.append(f"{name}: the sample lies {length:.1f} mm beside where it lies in the others; it was moved, and is followed")
     patterned = [value for value in alike if value > _PATTERN]
     if len(patterned) < len(names):
-        notes.append(f"{len(names) - len(patterned)} photographs have no pattern in common with the others (matte relief under other lights, or nothing to see): they lie as their poses say")
+        why = "matte relief under other lights, or nothing to see"
+        notes.append(f"{len(names) - len(patterned)} photographs have no pattern in common with the others ({why}): they lie as their poses say")
     count = sum(shift is not None for shift in shifts)
     rms = [scale * float(np.sqrt(np.nanmean(np.square(some)))) if np.isfinite(some).any() else np.nan for some in (before, after)]
-    rows = [(name, correlated, scale * first, scale * last, length) for name, correlated, first, last, length in zip(names, alike, before, after, lengths, strict=True)]
+    rows = list(zip(names, alike, [scale * one for one in before], [scale * one for one in after], lengths, strict=True))
     residual = f"{rms[1]:.2f} texels rms" if np.isfinite(rms[1]) else "not measured: no pattern in common"
     figures = {"moved": count, "before_texels": rms[0], "after_texels": rms[1], "height_mm": grid.height}
     header = ("photograph", "correlation with the others", "texels beside them before", "after", "moved by mm")

@@ -25,7 +25,11 @@ def check_target(target: str | Path, force: bool = False) -> bool:
     """
     record = Path(target) / RECORD
     changed = changed_files(record) if os.path.isfile(record) else []
-    return atomic.refuse_foreign(Path(target), lambda name: name in (RECORD, PAGE, MANIFEST) or name.endswith(".exr"), "an earlier capture", changed, force)
+    return atomic.refuse_foreign(Path(target), _is_ours, "an earlier capture", changed, force)
+
+
+def _is_ours(name: str) -> bool:
+    return name in (RECORD, PAGE, MANIFEST) or name.endswith(".exr")
 
 
 def manifest_text(names: Sequence[str], grid: Grid, views: np.ndarray, lights: np.ndarray, near_lights: bool) -> str:
