@@ -303,7 +303,7 @@ def test_an_unknown_command_ends_with_2(capsys):
 
 def test_the_scripts_are_the_commands(data, tmp_path):
     commands = (
-        "fit", "models", "refit", "blend", "render", "compare", "info", "geometry", "create", "export", "pack", "board", "plan",
+        "fit", "models", "refit", "blend", "render", "compare", "info", "geometry", "create", "export", "pack", "board", "capture", "plan",
     )
     for name in commands:
         assert (ROOT / "scripts" / f"{name}.py").is_file()

@@ -28,7 +28,7 @@ ROOMS_THAT_DO_NOT_MEET["models"] = {"btf"}
 
 PUBLIC = {
     "LBFGS", "Adam", "Brdf", "Btf", "Camera", "ClosedForm", "DataError", "Directional", "Exporter", "FitConfig",
-    "FitError", "FitResult", "LevenbergMarquardt", "Losses", "Material", "Minibatch", "Plan", "Point", "RangeError", "RawBtf",
+    "FitError", "FitResult", "LevenbergMarquardt", "Losses", "Material", "Minibatch", "Plan", "Point", "RangeError", "RawBtf", "capture_btf",
     "Reader", "Recipe", "Scene", "ShapeError", "TorchmatError", "Uncertainty", "VariableProjection", "compare", "describe_model",
     "describe_models", "environment_lights", "evaluate", "export", "fit", "load_brdf", "load_btf", "load_config",
     "load_material", "open_studio", "pack", "plan", "recover_geometry", "refit", "register", "register_exporter", "register_reader", "render",

@@ -115,7 +115,7 @@ def _against_truth(studio: Studio, by_name: dict[str, Shot], scene: Any, grid: A
 
 def bad() -> list[dict[str, Any]]:
     """How many of 200 bad photographs are told by their reason, by what was done to them."""
-    lens = Lens((900, 600), 990.0)
+    lens = Lens((720, 480), 790.0)
     good, other = photographs_of(Board(), lens, 6), photographs_of(Board(series=3), lens, 2, 1)
     right, total, wrong = Counter(), Counter(), []
     for name, word, pixels in itertools.islice(bad_photographs(good, other), BAD):

@@ -15,7 +15,7 @@ from tests.capture.simulated import Studio, write
 
 import torchmat as tm
 from torchmat.capture.board import Board
-from torchmat.capture.capture import capture
+from torchmat.capture.capture import capture_btf
 from torchmat.capture.locate import photograph_files
 from torchmat.capture.page import steps_table
 from torchmat.capture.register import register
@@ -69,7 +69,7 @@ def captured(tmp_path_factory, photographs, shots, scenes):
         scenes.append(scene)
         return KnownLight(shots, scene, unlit=("photo_07.jpg",))
 
-    return capture(photographs, tmp_path_factory.mktemp("out") / "btf", BOARD, light, measured=150.0, texel=1.0)
+    return capture_btf(photographs, tmp_path_factory.mktemp("out") / "btf", BOARD, light, measured=150.0, texel=1.0)
 
 
 def test_each_photograph_that_is_not_used_has_its_reason(captured):
@@ -118,7 +118,7 @@ def test_the_folder_says_what_was_found(captured):
 def test_a_changed_capture_and_other_files_are_not_replaced(captured, photographs, shots, tmp_path):
     (tmp_path / "notes.txt").write_text("mine")
     with pytest.raises(DataError, match="notes.txt"):
-        capture(photographs, tmp_path, BOARD, lambda scene: KnownLight(shots, scene))
+        capture_btf(photographs, tmp_path, BOARD, lambda scene: KnownLight(shots, scene))
     assert [path.name for path in tmp_path.iterdir()] == ["notes.txt"]
 
 

@@ -1,4 +1,4 @@
-"""capture: from photographs to a BTF, step by step, each with what it found and the figure that would show that it went wrong."""
+"""capture_btf: from photographs to a BTF, step by step, each with what it found and the figure that would show that it went wrong."""
 
 from __future__ import annotations
 
@@ -11,8 +11,11 @@ import numpy as np
 import torch
 
 from torchmat.capture.board import Board
+from torchmat.capture.brackets import merge_photographs
 from torchmat.capture.locate import Located, locate, photograph_files, read_photographs
 from torchmat.capture.page import capture_page
+from torchmat.capture.photographs import turned_alike
+from torchmat.capture.photometry import PhotometryOptions, photometry
 from torchmat.capture.pictures import contact_sheet, marked, thumb
 from torchmat.capture.pose import printed
 from torchmat.capture.rectify import FILTER, Grid, Rectified, choose_grid
@@ -21,7 +24,7 @@ from torchmat.capture.scene import Photometry, Scene, Step
 from torchmat.capture.texels import texels_of
 from torchmat.capture.write import check_target, manifest_text, write_capture
 from torchmat.errors import FitError, message
-from torchmat.progress import progress
+from torchmat.progress import progress as bar
 
 _SHOWN = 3  # photographs on the page, with the corners that were found
 _FAR = 1e6  # mm: where a far lamp is put when others are near
@@ -39,41 +42,47 @@ class Captured:
     left_out: dict[str, str]
 
 
-def capture(
-    photographs: str | Path | Sequence[str | Path], out: str | Path, board: Board, photometry: Callable[[Scene], Photometry], *,
-    measured: float | None = None, texel: float | None = None, height: float | None = None, refine: bool = True,
-    encoding: str = "auto", force: bool = False, show: bool | None = None,
+def capture_btf(
+    photographs: str | Path | Sequence[str | Path], out: str | Path, board: Board | None = None,
+    light: PhotometryOptions | Callable[[Scene], Photometry] | None = None, *, measured: float | None = None,
+    texel: float | None = None, height: float | None = None, refine: bool = True, brackets: int | None = None,
+    encoding: str = "auto", force: bool = False, progress: bool | None = None,
 ) -> Captured:
-    """Turn photographs of a flat sample in a board's window into a BTF, a folder that `load_btf` reads; return what was found.
+    """Turn photographs of a flat sample in a printed board's window into a BTF, a folder that `load_btf` reads.
+
+    Returns what each step found (`Captured`); ``capture.html`` in the folder shows it. Needs the extra `capture`.
 
     Args:
-        photographs: a folder, or files.
+        photographs: a folder, or a list of files.
         out: the folder to write; an earlier capture there is replaced, unless something in it was changed.
-        board: as it was printed nominally.
-        photometry: light and colour of a scene.
+        board: as it was printed nominally (`torchmat.capture.board.Board`); None is the one that `torchmat board` draws.
+        light: where light and colour come from (`torchmat.capture.photometry.PhotometryOptions`), or a function of the scene that tells them;
+            None finds lamps from the board's mirror spheres.
         measured: length of the printed scale bar in mm; None takes it as printed at 100 %, and says so.
         texel: side of a texel in mm; None takes the photographs' own resolution.
         height: of the sample's surface above the board in mm; None finds it where the sample's own pattern tells it.
         refine: whether photographs are registered on the sample itself, where that gains.
+        brackets: exposures of each bracket, in the photographs' order; None sees from the files whether they are brackets, 1 merges none.
         encoding: as `load_btf` has it.
         force: whether an earlier capture that was changed is replaced, and kept as a backup.
-        show: whether bars are shown; None shows them on a terminal.
+        progress: whether bars are shown; None shows them on a terminal.
 
     Raises DataError, RangeError or FitError, which name what is at fault; a photograph that cannot be used is left out instead, with its reason.
     """
     check_target(out, force)
-    board, said = printed(board, measured)
+    board, said = printed(board or Board(), measured)
     found, unread = read_photographs(photograph_files(photographs), encoding)
-    located = locate(board, found, unread, show)
-    light = photometry(located.scene)
-    located, light = _without_unlit(located, light)
+    found, merged = merge_photographs(found, brackets, encoding)
+    located = locate(board, turned_alike(found), unread, progress)
+    told = light(located.scene) if callable(light) else photometry(located.scene, light, progress)
+    located, known = _without_unlit(located, told)
     scene = located.scene
     grid = choose_grid(board, scene.cameras, scene.poses, texel, height or 0.0)
-    registered = register(scene, light, grid, find_height=height is None, show=show) if refine else None
+    registered = register(scene, known, grid, find_height=height is None, show=progress) if refine else None
     grid = grid if registered is None else replace(grid, height=registered.height)
     last = [_texels(grid, texel)] if registered is None else [registered.step, _texels(grid, texel)]
-    steps = [_scale(board, said), _with_pictures(located), *located.steps[1:], *light.steps, *last]
-    return _written(out, scene, light, grid, registered, steps, located.left_out, force, show)
+    steps = [_scale(board, said), _with_pictures(located, merged), *located.steps[1:], *known.steps, *last]
+    return _written(out, scene, known, grid, registered, steps, located.left_out, force, progress)
 
 
 def _without_unlit(located: Located, light: Photometry) -> tuple[Located, Photometry]:
@@ -112,13 +121,13 @@ def _scale(board: Board, said: str) -> Step:
     return Step("scale", said, "", {"paper": board.paper, "series": board.series, "scale": board.scale, "square_mm": board.square})
 
 
-def _with_pictures(located: Located) -> Step:
+def _with_pictures(located: Located, merged: Sequence[str]) -> Step:
     """Return the first step with some photographs in which the corners that were found are marked."""
     count = len(located.scene.photographs)
     chosen = sorted({round(place) for place in np.linspace(0, count - 1, min(_SHOWN, count))})
     some = [(located.scene.photographs[index], located.detections[index].pixels) for index in chosen]
     pictures = {f"{one.name}: the corners that were found": marked(one.linear(), pixels) for one, pixels in some}
-    return replace(located.steps[0], pictures=pictures)
+    return replace(located.steps[0], pictures=pictures, notes=(*merged, *located.steps[0].notes))
 
 
 def _texels(grid: Grid, texel: float | None) -> Step:
@@ -137,7 +146,7 @@ def _written(
     shares: list[float] = []
 
     def pictures() -> Iterator[Rectified]:
-        for index in progress(range(len(names)), "resampling", show=show):
+        for index in bar(range(len(names)), "resampling", show=show):
             one = texels_of(scene, light, index, grid, None if registered is None else registered.shifts[index])
             thumbs.append(thumb(one.values))
             shares.append(float(one.valid.float().mean()))

@@ -41,25 +41,32 @@ class Detection:
     reason: str = ""
 
 
-def detect(board: Board, linear: Tensor) -> Detection:
-    """Return what a photograph [3, H, W], linear, shows of the board, however it is turned."""
+def detect(board: Board, linear: Tensor, clipped: Tensor | None = None) -> Detection:
+    """Return what a photograph shows of the board, however it is turned.
+
+    Args:
+        board: the board.
+        linear: the photograph [3, H, W], linear.
+        clipped: bool [H, W], which of its pixels are over-exposed; None takes those that are white.
+    """
     if min(linear.shape[-2:]) < 64:
         return _nothing(f"it is {linear.shape[-1]} x {linear.shape[-2]} pixels")
+    clipped = (linear >= _WHITE).all(0) if clipped is None else clipped
     grey = grey_codes(linear)
     markers = find_markers(board, grey)
     if markers.homography is None:
-        return _nothing(_why_no_board(board, linear, grey, markers))
+        return _nothing(_why_no_board(board, linear, clipped, grey, markers))
     index, pixels = _corners(board, grey, markers)
     blur = _blur(board, grey, index, pixels, markers.homography)
-    return Detection(index, pixels, blur, _why_not(board, linear, markers, index, blur))
+    return Detection(index, pixels, blur, _why_not(board, clipped, markers, index, blur))
 
 
 def _nothing(reason: str) -> Detection:
     return Detection(np.zeros(0, int), np.zeros((0, 2)), np.nan, reason)
 
 
-def _why_no_board(board: Board, linear: Tensor, grey: np.ndarray, markers: Markers) -> str:
-    washed = float((linear >= _WHITE).all(0).float().mean())
+def _why_no_board(board: Board, linear: Tensor, clipped: Tensor, grey: np.ndarray, markers: Markers) -> str:
+    washed = float(clipped.float().mean())
     if washed > _WASHED:
         return f"over-exposed: {washed:.0%} of the picture is white"
     small = torch.nn.functional.avg_pool2d(linear.amax(0)[None], 8)  # without its noise
@@ -79,14 +86,14 @@ def _why_no_board(board: Board, linear: Tensor, grey: np.ndarray, markers: Marke
     return "no board: no marker of it is seen"
 
 
-def _why_not(board: Board, linear: Tensor, markers: Markers, index: np.ndarray, blur: float) -> str:
-    limit = _blur_limit(linear[0])
+def _why_not(board: Board, clipped: Tensor, markers: Markers, index: np.ndarray, blur: float) -> str:
+    limit = _blur_limit(clipped)
     covered = _covered(board, board.corners[index])
     if blur > limit:
         return f"blurred: edges are {blur * _TEN_TO_NINETY:.0f} pixels wide, and {limit * _TEN_TO_NINETY:.0f} would do"
     if len(index) >= _FEWEST and covered >= _COVERED:
         return ""
-    washed = _washed(board, linear, markers)
+    washed = _washed(board, clipped, markers)
     if washed > _GLARE:
         return f"glare: {washed:.0%} of the board is over-exposed, {len(index)} of {len(board.corners)} corners are seen"
     return f"too little of the board: {len(index)} of {len(board.corners)} corners are seen, around {covered:.0%} of the window"
@@ -125,16 +132,16 @@ def _covered(board: Board, places: np.ndarray) -> float:
     return area / ((right - left) * (top - bottom))
 
 
-def _washed(board: Board, linear: Tensor, markers: Markers) -> float:
+def _washed(board: Board, clipped: Tensor, markers: Markers) -> float:
     """Return which share of the board around the window, as far as it is in the picture, is over-exposed."""
     reach = np.abs(board.corners).max(0)
     x, y = np.meshgrid(np.linspace(-reach[0], reach[0], 60), np.linspace(-reach[1], reach[1], 80))
     outside = (np.abs(x) > board.window[2]) | (np.abs(y) > board.window[3])
     assert markers.homography is not None
     pixels = np.round(_moved(markers.homography, np.stack((x[outside], y[outside]), axis=1))).astype(int)
-    height, width = linear.shape[-2:]
+    height, width = clipped.shape
     pixels = pixels[(pixels >= 0).all(1) & (pixels < (width, height)).all(1)]
-    return float((linear[:, pixels[:, 1], pixels[:, 0]] >= _WHITE).all(0).float().mean()) if len(pixels) else 0.0
+    return float(clipped[pixels[:, 1], pixels[:, 0]].float().mean()) if len(pixels) else 0.0
 
 
 def _moved(homography: np.ndarray, points: np.ndarray) -> np.ndarray:

@@ -13,7 +13,7 @@ from torchmat.capture.board import Board
 from torchmat.capture.camera import Calibration, calibrate
 from torchmat.capture.detect import Detection, detect
 from torchmat.capture.develop import is_raw
-from torchmat.capture.photographs import Photograph, photograph, turned_alike
+from torchmat.capture.photographs import Photograph, photograph
 from torchmat.capture.scene import Scene, Step
 from torchmat.errors import DataError, message
 from torchmat.progress import progress
@@ -54,14 +54,14 @@ def photograph_files(paths: str | Path | Sequence[str | Path]) -> list[Path]:
 
 
 def read_photographs(files: Sequence[Path], encoding: str = "auto") -> tuple[list[Photograph], dict[str, str]]:
-    """Return photographs in the frame of their sensor, and in words why others cannot be read, by their names."""
+    """Return photographs, and in words why others cannot be read, by their names."""
     found, left_out = [], {}
     for path in files:
         try:
             found.append(photograph(path, encoding))
         except DataError as error:
             left_out[path.name] = f"unreadable: {error}"
-    return turned_alike(found), left_out
+    return found, left_out
 
 
 def find_board(board: Board, photographs: Sequence[Photograph], show: bool | None = None) -> list[Detection]:
@@ -69,7 +69,8 @@ def find_board(board: Board, photographs: Sequence[Photograph], show: bool | Non
     found = []
     for one in progress(photographs, "looking for the board", show=show):
         try:
-            found.append(detect(board, one.linear()))
+            developed = one.developed()
+            found.append(detect(board, developed.linear, developed.clipped))
         except DataError as error:
             found.append(Detection(np.zeros(0, int), np.zeros((0, 2)), np.nan, f"unreadable: {error}"))
     return found

@@ -1,4 +1,4 @@
-"""The command line: fit, fit-many, models, refit, blend, render, compare, info, geometry, create, edit, export, pack, studio, board, plan.
+"""The command line: fit, fit-many, models, refit, blend, render, compare, info, geometry, create, edit, export, pack, studio, board, capture, plan.
 
 This module loads next to nothing, so that `torchmat --help` is there at once; a command loads its own arguments.
 """

@@ -21,7 +21,7 @@ _STYLE = (tyro.conf.FlagCreatePairsOff,)
 _CLASSES = {
     "fit": "Fit", "fit-many": "FitMany", "models": "Models", "refit": "Refit", "blend": "Blend", "render": "Render",
     "compare": "Compare", "info": "Info", "geometry": "Geometry", "create": "Create", "edit": "Edit", "export": "Export",
-    "pack": "Pack", "studio": "Studio", "board": "Board", "plan": "Plan",
+    "pack": "Pack", "studio": "Studio", "board": "Board", "capture": "Capture", "plan": "Plan",
 }
 
 
