@@ -14,6 +14,7 @@ from torchmat.btf.load import DUPLICATE_WAYS, INVALID_WAYS
 from torchmat.btf.reader import READERS
 from torchmat.btf.split import HOLDOUT_WAYS
 from torchmat.capture.board import PAPERS
+from torchmat.capture.photometry import LIGHTS
 from torchmat.cli import known
 from torchmat.cli.arguments import DataArguments
 from torchmat.cli.early import check_model
@@ -48,7 +49,7 @@ def test_the_names_that_are_known_early_are_those_that_there_are():
     assert known.OPTIONS == {model: tuple(default_options(model)) for model in (*RECIPES, "auto")}
     assert known.CONFIG_KEYS == tuple(field.name for field in dataclasses.fields(FitConfig))
     assert known.TABLES == {"target": tuple(field.name for field in dataclasses.fields(Target)), "data": DATA_KEYS}
-    assert known.PAPERS == tuple(PAPERS)
+    assert known.PAPERS == tuple(PAPERS) and known.LAMPS == LIGHTS
     assert known.STORAGES == tuple(STORAGES) and known.MESHES == (PATCH, *SHAPES)
     ours = {name for name, reader in READERS.items() if reader.listing.__module__.startswith("torchmat.")}
     assert known.ENCODINGS == tuple(ENCODINGS) and known.HOLDOUT_WAYS == HOLDOUT_WAYS and known.MEASURES == MEASURES

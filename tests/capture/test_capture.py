@@ -8,6 +8,7 @@ import json
 import numpy as np
 import pytest
 import torch
+import torchmat.cli
 from tests.capture.corners import degrees_apart
 from tests.capture.known_light import KnownLight
 from tests.capture.shots import Lamp, Lens, shots_around
@@ -153,3 +154,21 @@ def test_the_table_counts_from_the_middle_of_the_samples_plane():
 
 def test_a_scene_has_one_camera_and_pose_a_photograph(scenes, captured):
     assert isinstance(scenes[0], Scene) and len(scenes[0].cameras) == len(scenes[0].poses) == len(scenes[0].photographs) == 7
+
+
+def test_the_command_captures_and_says_what_each_step_found(photographs, shots, tmp_path, capsys):
+    given = ["--spheres", "0", "--texel", "2", "--no-register", "--lights", "shading"]
+    assert torchmat.cli.main(["capture", str(photographs), "--out", str(tmp_path / "btf"), *given]) == 0
+    out = capsys.readouterr().out
+    assert all(f"\n{name} " in f"\n{out}" for name in ("scale", "board", "camera", "poses", "lights", "white", "texels")) and "not measured" in out
+    assert "note       board: table.png: no board" in out and "registration" not in out
+    btf = tm.load_btf(tmp_path / "btf", cache=False)
+    assert btf.image(0).shape[1:] == (54, 54) or btf.image(0).shape[1:] == (55, 55)
+    # Of shading alone, which says so: lamps within some degrees.
+    assert degrees_apart(btf.light[0].numpy(), np.array(shots["photo_01.jpg"].lamp.position)) < 10
+
+
+def test_the_command_names_what_is_wrong_before_the_work(photographs, tmp_path, capsys):
+    for wrong, said in ((["--size", "A9"], "A9"), (["--measured", "0"], "--measured"), (["--lights", "sun"], "spheres"), (["--spheres", "3"], "spheres")):
+        assert torchmat.cli.main(["capture", str(photographs), "--out", str(tmp_path / "btf"), *wrong]) == 2
+        assert said in capsys.readouterr().err and not (tmp_path / "btf").exists()

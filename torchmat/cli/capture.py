@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, ClassVar
 
 import tyro
 
-from torchmat.cli.known import ENCODINGS, PAPERS, POSITIVE
+from torchmat.cli.known import ENCODINGS, LAMPS, PAPERS, POSITIVE
 
 
 @dataclass
@@ -69,6 +70,15 @@ class Capture:
     encoding: str = "auto"
     """auto, srgb or linear."""
 
+    def check_names(self) -> None:
+        from torchmat.cli.early import check_there
+        from torchmat.errors import check_option
+
+        if Path(self.lights).suffix:
+            check_there(self.lights)
+        else:
+            check_option("capture", "--lights", self.lights, LAMPS)
+
     def run(self) -> None:
         from torchmat.capture.board import Board
         from torchmat.capture.capture import capture_btf
@@ -89,6 +99,8 @@ class Capture:
     def _light(self):
         from torchmat.capture.photometry import PhotometryOptions
 
-        names = ("lights", "flash_offset", "positions", "distance", "grey", "flat", "even", "chart", "encoding")
-        white = {} if self.white is None else {"white": self.white}
-        return PhotometryOptions(**{name: getattr(self, name) for name in names}, **white)
+        options = PhotometryOptions(
+            self.lights, self.flash_offset, self.positions, self.distance, grey=self.grey, flat=self.flat, even=self.even, chart=self.chart,
+            encoding=self.encoding,
+        )
+        return options if self.white is None else dataclasses.replace(options, white=self.white)

@@ -77,6 +77,7 @@ SHARE: Bound = ("lie in [0, 1)", 0, 1 - 2**-53)
 EXPORTERS = (
     "folder", "3pm", "packed", "gltf", "materialx", "mitsuba", "blender", "orm", "relight", "openlime", "ptm", "rti", "ktx2", "html", "tiled",
 )
+LAMPS = ("auto", "spheres", "flash", "shading")  # where a capture has its lights from
 PAPERS = ("A3", "A4", "A5", "letter", "legal", "tabloid")
 MESHES = ("patch", "quad", "cube", "sphere", "torus", "teapot")
 
