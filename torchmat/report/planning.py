@@ -19,6 +19,8 @@ from torchmat.report.tables import number, text_table
 from torchmat.written import changed_files, write_record
 
 _RECORD = "plan.json"
+_FEW = 30  # lights: between so few nothing is drawn
+_LABEL = {"boxstyle": "round,pad=0.15", "fc": "white", "ec": "none", "alpha": 0.8}
 _FILES = (_RECORD, "plan.lp", "manifest.csv", "plan.png")
 
 
@@ -51,12 +53,12 @@ def plan_picture(plan: Plan, path: Path) -> Path:
     most = max(float(before.max()), 1e-12)
     figure, axes = plotting().subplots(1, 2, figsize=(10, 5), layout="constrained")
     for axis, values, title in zip(axes, (before, after), ("before", f"with {len(plan.light)} more"), strict=True):
-        drawn = axis.scatter(*_places(light), c=values.numpy(), cmap="magma", vmin=0, vmax=most, s=90, linewidths=0)
+        drawn = _field(axis, light, values, most)
         axis.plot(*_places(plan.taken_light), "o", color="white", markeredgecolor="black", markersize=5, label="taken")
         if values is after:
             axis.plot(*_places(plan.light), "*", color="tab:cyan", markeredgecolor="black", markersize=13, label="to take")
             for place, (x, y) in enumerate(zip(*_places(plan.light), strict=True)):
-                axis.annotate(str(place + 1), (x, y), textcoords="offset points", xytext=(7, 5), fontsize=8)
+                axis.annotate(str(place + 1), (x, y), textcoords="offset points", xytext=(8, 6), fontsize=8, bbox=_LABEL)
         error = float(plan.expected[0 if values is before else -1])
         axis.set_title(f"expected error {title}: {number(error)}", fontsize=10)
         axis.add_patch(plotting().Circle((0, 0), 90, fill=False, color="gray", linewidth=1))
@@ -67,6 +69,15 @@ def plan_picture(plan: Plan, path: Path) -> Path:
     axes[1].legend(loc="lower right", fontsize=8)
     figure.colorbar(drawn, ax=list(axes), shrink=0.8, label=f"expected error of a light ({plan.space})")
     return save_figure(figure, Path(path))
+
+
+def _field(axis: Any, light: Tensor, values: Tensor, most: float) -> Any:
+    """Draw errors [m] toward lights [m, 3]: as a surface between them, or where they are few or on a line as dots."""
+    colours = {"cmap": "magma", "vmin": 0, "vmax": most}
+    spread = torch.linalg.matrix_rank(light[:, :2] - light[:, :2].mean(dim=0), atol=1e-3)
+    if len(light) > _FEW and int(spread) == 2:
+        return axis.tripcolor(*_places(light), values.numpy(), shading="gouraud", **colours)
+    return axis.scatter(*_places(light), c=values.numpy(), s=150, linewidths=0, **colours)
 
 
 def _places(direction: Tensor) -> tuple[Any, Any]:

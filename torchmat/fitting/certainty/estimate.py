@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import torch
 from torch import Tensor
@@ -48,7 +49,7 @@ def uncertainty(
     """
     material, btf = _checked(material, btf)
     numbers = torch.arange(len(btf)) if rows is None else torch.as_tensor(rows).long()
-    training = make_training(btf, numbers, 0, material.tiles, material.dtype, progress)
+    training = replace(make_training(btf, numbers, 0, material.tiles, material.dtype, progress), relief=material.relief)
     used = training.used.nonzero()[:, 0]
     ways = sum(spec.channels for spec in material.specs() if spec.per_texel and not spec.constant)
     chosen = _chosen(used, btf.height * btf.width, ways)

@@ -27,7 +27,8 @@ from torchmat.progress import working
 
 FIXED, FREE = VIEWS = ("fixed", "free")
 _LIGHTS, _FREE_LIGHTS, _FREE_VIEWS = 400, 60, 14  # of the hemisphere
-_TARGETS = 150
+_TARGETS = 240
+_PLASTIC = 0.7548776662466927  # 1 / the plastic number
 _TEXELS = 16  # that stand for all where texels differ
 _FLATTEST = (60.0, 80.0)  # degrees: the lights of a plan go as far down as those taken, within this
 _LEAST = 0.02  # of a map's range: no prior is narrower
@@ -148,7 +149,7 @@ def _plan(btf: Btf, material: Material, light: Tensor, view: Tensor, count: int,
     taken_light, taken_view = btf.light[rows].double(), btf.view[rows].double()
     design = design_of(observed, torch.cat((taken_light, light)), torch.cat((taken_view, view)))
     taken, possible = list(range(len(rows))), list(range(len(rows), len(rows) + len(light)))
-    targets = [possible[number] for number in torch.linspace(0, len(light) - 1, min(_TARGETS, len(light))).round().long().tolist()]
+    targets = [possible[number] for number in _evenly(len(light)).tolist()]
     chosen = choose(design, taken, possible, targets, count, criterion)
     errors = [design.errors([*taken, *chosen[:some]], targets) for some in range(count + 1)]
     picked = torch.tensor(chosen) - len(rows)
@@ -157,6 +158,11 @@ def _plan(btf: Btf, material: Material, light: Tensor, view: Tensor, count: int,
         light[picked], view[picked], torch.stack([one.mean().sqrt() for one in errors]), taken_light, taken_view,
         light[around], view[around], errors[0].sqrt(), errors[-1].sqrt(), observed.space.name,
     )
+
+
+def _evenly(count: int) -> Tensor:
+    """Return the numbers of some pairs that are as dense as all are: by a fraction that no spiral's turn repeats."""
+    return (torch.arange(count, dtype=torch.float64) * _PLASTIC % 1).argsort()[:_TARGETS].sort().values
 
 
 def _few_texels(observed: Observed) -> Observed:

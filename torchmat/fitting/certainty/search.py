@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-import torch
 from torch import Tensor
 
 from torchmat.fitting.certainty.expected import Design
@@ -54,12 +53,3 @@ def _worth(design: Design, targets: Sequence[int], criterion: str) -> Callable[[
         return design.volumes
     return lambda chosen, more: design.errors_with(chosen, more, targets).mean(dim=1)
 
-
-def spread_over(direction: Tensor, count: int) -> Tensor:
-    """Return the numbers of `count` of directions or pairs [n, k] that lie far apart: each farthest from those before."""
-    numbers = [0]
-    far = torch.cdist(direction.double(), direction[:1].double())[:, 0]
-    while len(numbers) < min(count, len(direction)):
-        numbers.append(int(far.argmax()))
-        far = torch.minimum(far, torch.cdist(direction.double(), direction[numbers[-1:]].double())[:, 0])
-    return torch.tensor(numbers)
