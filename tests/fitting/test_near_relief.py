@@ -9,6 +9,7 @@ from tests.fitting.near_data import bumps, degrees, dome, lambert, places, scene
 from tests.support import assert_close
 
 from torchmat import Btf, fit, recover_geometry
+from torchmat.btf.lambert import relief_of_one_view, stereo_of
 from torchmat.fitting.relief.surface import ViewSlopes, bring_onto
 from torchmat.fitting.training import make_training
 
@@ -82,3 +83,19 @@ def test_views_of_near_cameras_are_shaded_as_they_were_made():
     btf = Btf.from_tensors(point, None, None, light_position=lights, view_position=np.tile(views, (8, 1)))
     result = fit(btf, "lambert", geometry=torch.from_numpy(height)[None], tiles=False, relief="fast", holdout=0.2, dtype=torch.float64)
     assert result.report["held_out"]["relative_error"] < 0.01 and len(btf.views) == 5
+
+
+def test_an_object_inside_a_mask_stands_on_the_plane():
+    x, y = places(24, 32)
+    ball = np.sqrt(np.clip(0.4**2 - x * x - y * y, 0, None)) - 0.25
+    mask = ball > 0
+    up, across = np.gradient(np.where(mask, ball, 0), 1 / 32)
+    normal = np.stack((-across, up, np.ones_like(x)))
+    normal /= np.linalg.norm(normal, axis=0)
+    made = scene(lambert(np.full((3, 24, 32), 0.5), normal), np.where(mask, ball, 0), normal, LIGHTS)
+    found = {}
+    for name, btf in (("near", made.btf), ("far", made.far)):
+        relief = relief_of_one_view(btf.masked(torch.from_numpy(mask)), torch.arange(24), torch.float32)
+        found[name] = degrees(relief.normal, normal)[mask].mean()
+    plane = degrees(stereo_of(made.btf, torch.arange(24), torch.float32).normal, normal)[mask].mean()
+    assert found["near"] < 0.3 * plane and plane < 0.5 * found["far"], (found, plane)

@@ -139,12 +139,14 @@ def relief_of_one_view(
     """Return the relief that samples of one view show (`relief_from_photographs`).
 
     Under near lights it is found twice: directions and fall-off of the second time are those of texels as high as the first
-    time found them. What is left of the height's own error changes neither by much.
+    time found them. What is left of the height's own error changes neither by much. One view does not say how high all of it
+    stands: a surface lies around the plane of the positions, an object inside a mask with its border on it.
     """
     found = relief_from_stereo(stereo_of(btf, rows, dtype), tiles, integration, btf.mask)
     if btf.light_position is None:
         return found
-    raised = btf.with_near(btf.near and btf.near.raised(found.height))
+    base = 0.0 if btf.mask is None else float(found.height[:, ~btf.mask].mean())
+    raised = btf.with_near(btf.near and btf.near.raised(found.height - base))
     return relief_from_stereo(stereo_of(raised, rows, dtype), tiles, integration, btf.mask)
 
 

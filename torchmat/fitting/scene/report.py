@@ -40,7 +40,8 @@ def scene_figures(
     if not measure:
         return found
     inside, outside = _held_out(btf, material, split.held_out, use, progress)
-    found["inside_points"] = _at_points(btf, material, use, tiles)
+    # Between directions that were measured there is nothing to compare with where each texel has its own.
+    found["inside_points"] = None if btf.near is not None else _at_points(btf, material, use, tiles)
     return {**found, "inside_held_out": inside, "outside_held_out": outside}
 
 
