@@ -143,7 +143,7 @@ def make_maps(name: str, options: dict | None, height: int = 2, width: int = 3, 
     """Return random maps of a model, drawn in float64 so that both precisions see the same numbers."""
     if options is None:
         pytest.fail(f"tests/models/examples.py has no example options for model {name!r}")
-    torch.manual_seed(seed)
+    torch.default_generator.manual_seed(seed)
     maps = {}
     for spec in specs_of(name, options):
         shape = (spec.channels, height, width)

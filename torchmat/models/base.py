@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import inspect
 import math
 from collections.abc import Callable, Mapping
@@ -90,14 +91,15 @@ class Material(Storable):
             raise RangeError(message(self.name, "a cutout", "not repeat", "tiles is true", step))
 
     @classmethod
-    def _option_names(cls) -> list[str]:
+    @functools.cache
+    def _option_names(cls) -> tuple[str, ...]:
         """Return the keywords that the constructors of the model and its bases take."""
         found: dict[str, None] = {}
         for kind in cls.__mro__:
             if issubclass(kind, Material) and "__init__" in vars(kind):
                 parameters = inspect.signature(kind.__init__).parameters.values()
                 found |= {p.name: None for p in parameters if p.kind is p.KEYWORD_ONLY}
-        return list(found)
+        return tuple(found)
 
     def _check_shapes(self, specs: tuple[MapSpec, ...]) -> None:
         size = None

@@ -26,6 +26,7 @@ OPACITY = MapSpec(
 COMMON_MAPS = (*RELIEF_MAPS, OPACITY)
 FAST, FINE = RELIEFS = ("fast", "fine")  # how a relief is followed
 _RAYS = ((-0.25, -0.25), (0.25, -0.25), (-0.25, 0.25), (0.25, 0.25))  # where in a texel its rays start
+_FEW = 1024  # places whose rays are walked together: so few take less than the calls
 
 
 class Rays(NamedTuple):
@@ -77,13 +78,18 @@ def rays(height: Tensor, light: Tensor, view: Tensor, tiles: bool, relief: str =
         few_lights, few_views = _between_texels(few_lights), _between_texels(few_views)
         return fine_rays(height, few_lights, which_light, few_views, which_view, tiles)
     shadow = soft_shadow(height, few_lights, tiles=tiles)[which_light]
+    return Rays(shadow, _ends(height, few_views, tiles), which_view)
+
+
+def _ends(height: Tensor, views: Tensor, tiles: bool) -> list[Tensor]:
+    """Return where each of the rays of a texel ends, uv [v, 2, H, W], brought back to the texel's centre."""
     rows, columns = height.shape[-2:]
     centres = texel_centres(rows, columns, height.dtype)
-    ends = []
-    for across, up in _RAYS:
-        offset = torch.tensor([across / columns, up / rows], dtype=height.dtype)[:, None, None]
-        ends.append(trace_view(height, few_views, centres + offset, tiles).uv - offset)
-    return Rays(shadow, ends, which_view)
+    offsets = torch.tensor(_RAYS, dtype=height.dtype)[:, :, None, None] / torch.tensor([columns, rows])[:, None, None]
+    if len(views) * rows * columns > _FEW:  # what is walked together is held together
+        return [trace_view(height, views, centres + offset, tiles).uv - offset for offset in offsets]
+    offsets = offsets[:, None]
+    return list(trace_view(height, views, centres + offsets, tiles).uv - offsets)
 
 
 def _between_texels(direction: Tensor) -> Tensor:
