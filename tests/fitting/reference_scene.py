@@ -115,20 +115,21 @@ def clearance(
     du, dv = _slope(direction, height.shape)
     run = np.hypot(du, dv)
     start, span = bilinear(height, u, v, tiles), np.ptp(height)
-    least = np.full(u.shape, 1 / max(run, 1e-9))
-    for z in span * np.arange(1, steps + 1) / steps:
-        surface = bilinear(height, u + z * du, v + z * dv, tiles)
-        least = np.minimum(least, (start + z - surface) / (z * max(run, 1e-9)))
-    return least
+    z = (span * np.arange(1, steps + 1) / steps)[:, None, None]
+    free = (start + z - bilinear(height, u + z * du, v + z * dv, tiles)) / (z * max(run, 1e-9))
+    return np.minimum(1 / max(run, 1e-9), free.min(axis=0))
 
 
 def render(
     height: np.ndarray, normal: np.ndarray, albedo: np.ndarray, ambient: np.ndarray, light: np.ndarray, view: np.ndarray,
-    tiles: bool,
+    tiles: bool, met: np.ndarray | None = None,
 ) -> np.ndarray:
-    """Return one image [3, H, W] of a Lambert relief: albedo * soft shadow * cosine + ambient, where the view meets it."""
+    """Return one image [3, H, W] of a Lambert relief: albedo * soft shadow * cosine + ambient, where the view meets it.
+
+    `met` is what `hits` says of this view, where that is known.
+    """
     u, v = centres(*height.shape)
-    z = hits(height, view, tiles)
+    z = hits(height, view, tiles) if met is None else met
     du, dv = _slope(view, height.shape)
     u, v = u + z * du, v + z * dv
     lit = np.clip(clearance(height, light, u, v, tiles) / SOFTNESS + 0.5, 0, 1)
@@ -156,7 +157,10 @@ def relief_scene(
     albedo = colours(rows, columns, finest, tiles=tiles)
     ambient = 0.04 * albedo
     light, view = all_pairs(hemisphere(lights), hemisphere(views))
-    images = np.stack([render(height, normal, albedo, ambient, *pair, tiles) for pair in zip(light, view, strict=True)])
+    met = {one: hits(height, np.array(one), tiles) for one in set(map(tuple, view.tolist()))}
+    images = np.stack([
+        render(height, normal, albedo, ambient, *pair, tiles, met[tuple(pair[1].tolist())]) for pair in zip(light, view, strict=True)
+    ])
     return Scene(height, albedo, ambient, light, view, images, tiles)
 
 
