@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 import os
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -37,6 +39,27 @@ from torchmat.rendering.scene import PATCH
 from torchmat.rendering.shapes import SHAPES
 
 _RUN = "import sys; from torchmat.cli import main; code = main(sys.argv[1:]); print(code, 'torch' in sys.modules)"
+_RUN_EACH = """
+import json, os, sys, traceback
+import torchmat.cli.run
+from torchmat.cli import main
+assert "torch" not in sys.modules
+for arguments, place, said in json.load(sys.stdin):
+    child = os.fork()
+    if child == 0:
+        os.chdir(place)
+        for name, stream in (("out", 1), ("error", 2)):
+            os.dup2(os.open(os.path.join(said, name), os.O_CREAT | os.O_WRONLY), stream)
+        try:
+            print(main(arguments), "torch" in sys.modules)
+        except BaseException:
+            traceback.print_exc()
+        finally:
+            sys.stdout.flush()
+            sys.stderr.flush()
+            os._exit(0)
+    os.waitpid(child, 0)
+"""
 
 
 def run(*arguments: str, cwd=None) -> tuple[str, str]:
@@ -71,7 +94,7 @@ def test_the_choices_that_are_known_early_are_those_that_the_models_take():
     }
 
 
-@pytest.mark.parametrize(("arguments", "words"), [
+MISSPELT = [
     (("fit", "phong_srv"), "Did you mean 'phong_srf'?"),
     (("fit", "ptm", "--data", "stonse"), "Did you mean 'stones'?"),
     (("fit", "hsh", "--set", "term=9"), "Did you mean 'terms'?"),
@@ -108,12 +131,26 @@ def test_the_choices_that_are_known_early_are_those_that_the_models_take():
     (("blend", "stones", "stones", "--weight", "3"), "blend: --weight must lie in [0, 1]; it is 3.0."),
     (("create", "stones", "--storage", "png9"), "Did you mean 'png8'?"),
     (("geometry", "stones", "--depth", "99"), "geometry: --depth must be one of '16', 'float'"),
-])
-def test_a_misspelt_name_is_reported_before_torch_is_there(arguments, words, tmp_path):
-    (tmp_path / "stones").mkdir()
-    (tmp_path / "misplaced.toml").write_text('model = "hsh"\nterms = 4\n')
-    (tmp_path / "bad.toml").write_text('model = "ptm"\n[optoins]\n')
-    out, error = run(*arguments, cwd=tmp_path)
+]
+
+
+@pytest.fixture(scope="module")
+def answers(tmp_path_factory):
+    """Return what `run` does of each of MISSPELT, all in one process that forks for each: what it loads is loaded once."""
+    asked = []
+    for arguments, _ in MISSPELT:
+        place = tmp_path_factory.mktemp("misspelt")
+        (place / "stones").mkdir()
+        (place / "misplaced.toml").write_text('model = "hsh"\nterms = 4\n')
+        (place / "bad.toml").write_text('model = "ptm"\n[optoins]\n')
+        asked.append((arguments, str(place), str(tmp_path_factory.mktemp("said"))))
+    subprocess.run([sys.executable, "-c", _RUN_EACH], input=json.dumps(asked), text=True, check=True)
+    return {arguments: [(Path(said) / name).read_text().strip() for name in ("out", "error")] for arguments, _, said in asked}
+
+
+@pytest.mark.parametrize(("arguments", "words"), MISSPELT)
+def test_a_misspelt_name_is_reported_before_torch_is_there(arguments, words, answers):
+    out, error = answers[arguments]
     assert out == "2 False" and words in error and "Traceback" not in error
 
 

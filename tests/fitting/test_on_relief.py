@@ -87,7 +87,7 @@ def test_the_relief_survives_export_and_the_round_trip(model, tmp_path):
 @every_model
 @pytest.mark.parametrize("relief", [False, True])
 def test_a_surface_that_does_not_repeat_says_so(model, relief):
-    scene = relief_scene(tiles=False)
+    scene = relief_scene(rows=8, columns=9, tiles=False)
     geometry = scene.true_height if relief else None
     result = tm.fit(scene.btf(), model, geometry=geometry, tiles=False, measure=False, **OPTIONS.get(model, {}))
     assert result.material.tiles is False and result.report["tiles"] is False

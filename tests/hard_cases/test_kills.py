@@ -17,8 +17,8 @@ def test_16_killed_at_random_moments_all_that_stands_is_whole(tmp_path):
 
 def test_a_half_written_material_would_be_found(tmp_path):
     class Careless(kills.Export):
-        def once(self):
-            super().once()
+        def one(self, which):
+            super().one(which)
             (self.target / "manifest.json").unlink()
 
     with pytest.raises(DataError, match="manifest|a material folder"):

@@ -57,7 +57,7 @@ class Material(Storable):
         super().__init__()
         check_option(self.name, "storage", storage, STORAGES)
         check_option(self.name, "relief", relief, RELIEFS)
-        check_known_keys(f"{self.name} options", options, self._option_names())
+        check_known_keys(f"{self.name} options", options, _option_names(type(self)))
         self.storage = storage
         self.tiles = tiles
         self.cutout = cutout
@@ -89,17 +89,6 @@ class Material(Storable):
         if self.cutout is not None and self.tiles and not self.cutout.is_whole:
             step = "Give tiles=False; the cutout itself says whether the whole texture repeats."
             raise RangeError(message(self.name, "a cutout", "not repeat", "tiles is true", step))
-
-    @classmethod
-    @functools.cache
-    def _option_names(cls) -> tuple[str, ...]:
-        """Return the keywords that the constructors of the model and its bases take."""
-        found: dict[str, None] = {}
-        for kind in cls.__mro__:
-            if issubclass(kind, Material) and "__init__" in vars(kind):
-                parameters = inspect.signature(kind.__init__).parameters.values()
-                found |= {p.name: None for p in parameters if p.kind is p.KEYWORD_ONLY}
-        return tuple(found)
 
     def _check_shapes(self, specs: tuple[MapSpec, ...]) -> None:
         size = None
@@ -324,3 +313,14 @@ def combine(weights: Tensor, layers: Tensor) -> Tensor:
     for index in range(1, count):
         total = total + weights[..., index : index + 1, :, :] * layers[index]
     return total
+
+
+@functools.cache
+def _option_names(kind: type[Material]) -> tuple[str, ...]:
+    """Return the keywords that the constructors of a model and of its bases take."""
+    found: dict[str, None] = {}
+    for base in kind.__mro__:
+        if issubclass(base, Material) and "__init__" in vars(base):
+            parameters = inspect.signature(base.__init__).parameters.values()
+            found |= {p.name: None for p in parameters if p.kind is p.KEYWORD_ONLY}
+    return tuple(found)
