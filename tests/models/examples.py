@@ -72,9 +72,18 @@ class _Found(Exception):
     pass
 
 
+_SPECS: dict[tuple[type[Material], str], tuple[MapSpec, ...]] = {}  # what was found, by class and options
+
+
 def specs_of(name: str, options: dict) -> tuple[MapSpec, ...]:
     """Return the specs of a model with options, before any map exists."""
+    key = MATERIALS[name], repr(options)
+    if key not in _SPECS:
+        _SPECS[key] = _asked(name, options)
+    return _SPECS[key]
 
+
+def _asked(name: str, options: dict) -> tuple[MapSpec, ...]:
     class Asked(MATERIALS[name]):
         def specs(self):
             raise _Found(super().specs())
