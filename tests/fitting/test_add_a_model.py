@@ -32,7 +32,7 @@ def ggx_value(albedo, f0, alpha, light, view):
     return np.pi * (albedo / np.pi + d * g * f0 / (4 * light[2] * view[2])) * light[2]
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def truth():
     rng = np.random.default_rng(5)
     maps = {"diffuse": rng.uniform(0.1, 0.6, (3, 6, 5)), "reflectance": rng.uniform(0.03, 0.1, (1, 6, 5)),
