@@ -223,7 +223,7 @@ def dark_beside_bright(given: Variant, room: Room) -> float:
 def sizes(given: Variant, room: Room) -> None:
     """Case 10: maps of all shapes, the last texel by itself, and 25,000 directions as each of them."""
     for size in ((1, 1), (1, 7), (7, 1), (3, 5), (1, 4096)):
-        contract.test_sizes(*given, *size)
+        contract.check_size(*given, *size)
     light, view = (per_image(directions(25_000, torch.float32, seed)) for seed in (1, 2))
     material = make(*given, 1, 1, torch.float32)
     with torch.no_grad():
@@ -232,9 +232,9 @@ def sizes(given: Variant, room: Room) -> None:
 
 def refused(given: Variant, room: Room) -> None:
     """Case 11: maps that are not finite, out of range, missing, of another size, precision or kind."""
-    contract.test_rejects_maps_that_do_not_fit(*given)
-    contract.test_rejects_maps_of_different_sizes_or_precisions(*given)
-    contract.test_rejects_directions_that_do_not_fit(*given)
+    contract.check_rejects_maps_that_do_not_fit(*given)
+    contract.check_rejects_maps_of_different_sizes_or_precisions(*given)
+    contract.check_rejects_directions_that_do_not_fit(*given)
 
 
 def deep_relief(given: Variant, room: Room) -> None:
@@ -257,7 +257,7 @@ def deep_relief(given: Variant, room: Room) -> None:
 
 def precision(given: Variant, room: Room) -> float:
     """Case 13: returns the digits that float32 keeps at random directions."""
-    contract.test_float32_agrees_with_float64(*given)
+    contract.check_float32_agrees_with_float64(*given)
     least = single_and_double(given, *(per_image(directions(200, seed=seed)) for seed in (1, 2)))
     assert least > -math.log10(TOLERANCE[torch.float32]) - 2  # each picture by its own largest value, however dark
     return least
@@ -266,7 +266,7 @@ def precision(given: Variant, room: Room) -> float:
 def same_bits(given: Variant, room: Room) -> None:
     """Case 15: the same bits again, and with one thread as with two."""
     for dtype in DTYPES:
-        contract.test_deterministic(*given, dtype)
+        contract.check_deterministic(*given, dtype)
     material = make(*given, 40, 37, torch.float32)
     light, view = (per_image(directions(9, torch.float32, seed)) for seed in (1, 2))
     before, found = torch.get_num_threads(), []
@@ -284,7 +284,7 @@ def export_ranges(given: Variant, room: Room) -> float:
     """Case 17: never clipped, within the quantum of each storage; returns the relative error of shading after 8 bits."""
     name, options = given
     for storage in STORAGES:
-        contract.test_export_stays_within_the_quantum_and_is_idempotent(name, options, storage, torch.float32)
+        contract.check_export(name, options, storage, torch.float32)
     for spec in specs_of(name, options):
         if spec.low is None and spec.high is None:
             continue

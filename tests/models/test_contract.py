@@ -1,4 +1,7 @@
-"""What every material keeps, over every registered model."""
+"""What every material keeps, over every registered model.
+
+What is named `check_` the table of hard cases runs on each of these models: cases 10, 11, 13, 15 and, in float32, 17.
+"""
 
 from __future__ import annotations
 
@@ -193,25 +196,21 @@ def test_declared_symmetries(name, options):
         assert_same(one / light[:, 2:3], other / view[:, 2:3], 1e-10)
 
 
-@every_model
-def test_deterministic(name, options, dtype):
+def check_deterministic(name, options, dtype):
     light, view = per_texel(2, 3, dtype), per_texel(2, 3, dtype, seed=2)
     one, other = (make(name, options, 2, 3, dtype) for _ in range(2))
     assert torch.equal(one.shade(light, view), one.shade(light, view))
     assert torch.equal(one.shade(light, view), other.shade(light, view))
 
 
-@every_model
-def test_float32_agrees_with_float64(name, options):
+def check_float32_agrees_with_float64(name, options):
     light, view = directions(50, torch.float32).double(), directions(50, torch.float32, seed=2).double()
     wide = make(name, options, 4, 4).shade(per_image(light), per_image(view))
     narrow = make(name, options, 4, 4, torch.float32).shade(per_image(light.float()), per_image(view.float()))
     assert_same(narrow, wide.float(), TOLERANCE[torch.float32])
 
 
-@every_model
-@pytest.mark.parametrize("height, width", [(1, 1), (1, 7), (7, 1), (3, 5), (1, 4096)])
-def test_sizes(name, options, height, width):
+def check_size(name, options, height, width):
     material = make(name, options, height, width, torch.float32)
     assert material.size == (height, width)
     assert material.texels == height * width
@@ -253,9 +252,8 @@ def _quantum(spec, part: torch.Tensor, storage: str) -> torch.Tensor:
     return (step + 2e-7 * torch.maximum(low.abs(), high.abs())).expand_as(part)
 
 
-@every_model
-@pytest.mark.parametrize("storage", sorted(STORAGES))
-def test_export_stays_within_the_quantum_and_is_idempotent(name, options, storage, dtype):
+def check_export(name, options, storage, dtype):
+    """Nothing is off by more than the quantum, and exporting again changes nothing."""
     material = make(name, options, 5, 3, dtype, storage=storage)
     exported = material.as_exported()
     assert exported.storage == storage
@@ -273,6 +271,12 @@ def test_export_stays_within_the_quantum_and_is_idempotent(name, options, storag
     assert all(torch.equal(again.maps[key], exported.maps[key]) for key in exported.maps)
     light, view = (per_image(directions(3, torch.float32, seed)) for seed in (1, 2))
     assert bool(torch.isfinite(exported.shade(light, view)).all())
+
+
+@every_model
+@pytest.mark.parametrize("storage", sorted(STORAGES))
+def test_export_stays_within_the_quantum_and_is_idempotent(name, options, storage):
+    check_export(name, options, storage, torch.float64)
 
 
 @every_model
@@ -354,8 +358,7 @@ def test_copies_keep_settings_and_replace_maps(name, options):
     assert material.stored_as("half").storage == "half"
 
 
-@every_model
-def test_rejects_directions_that_do_not_fit(name, options):
+def check_rejects_directions_that_do_not_fit(name, options):
     material = make(name, options, 2, 3)
     good = per_image(directions(1))[0]
     wrong_sizes = torch.zeros(3, 3, 2, dtype=torch.float64), torch.zeros(2, 2, 3, dtype=torch.float64)
@@ -368,8 +371,7 @@ def test_rejects_directions_that_do_not_fit(name, options):
         material.shade(good.float(), good)
 
 
-@every_model
-def test_rejects_maps_that_do_not_fit(name, options):
+def check_rejects_maps_that_do_not_fit(name, options):
     maps, model = make_maps(name, options, 2, 3), MATERIALS[name]
     for spec in specs_of(name, options):
         value = maps[spec.name]
@@ -396,8 +398,7 @@ def test_rejects_maps_that_do_not_fit(name, options):
         model({**maps, "shininess": torch.ones(1, 2, 3)}, **options)
 
 
-@every_model
-def test_rejects_maps_of_different_sizes_or_precisions(name, options):
+def check_rejects_maps_of_different_sizes_or_precisions(name, options):
     maps, model = make_maps(name, options, 2, 3), MATERIALS[name]
     sized = [s.name for s in specs_of(name, options) if s.per_texel and not s.constant]
     if len(sized) > 1:
