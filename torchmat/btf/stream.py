@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from torchmat.btf.decode import Decoder
-from torchmat.btf.store import PixelStore
+from torchmat.btf.store import RELEASE_BYTES, PixelStore
 from torchmat.machine import give_back
 from torchmat.progress import progress
 
@@ -38,6 +38,9 @@ def bands(store: PixelStore, show: bool | None) -> Iterator[range]:
     """Yield runs of rows of texels, whose samples are few values at a time; drops mapped pages behind the pass."""
     count, channels, height, width = store.pixels.shape
     step = max(1, BAND_VALUES // (channels * width * min(count, BAND_SAMPLES)))
+    large = store.pixels.nbytes > RELEASE_BYTES
+    if large:
+        give_back()  # what was freed before is not to lie beside what is found now
     # glibc gives freed memory back above a bound that grows with what is freed, up to twice 32 MB. Below it each band would be
     # given fresh pages, whose faults take longer than what is computed in them.
     torch.empty(_KEPT_BYTES, dtype=torch.uint8)
@@ -49,7 +52,8 @@ def bands(store: PixelStore, show: bool | None) -> Iterator[range]:
             store.release(range(count))
             passed = 0
     store.release(range(count))
-    give_back()
+    if large:
+        give_back()
 
 
 def runs(store: PixelStore, wanted: Tensor | None, most: int | None = None) -> list[range]:

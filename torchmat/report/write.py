@@ -12,6 +12,7 @@ from torchmat.btf import Btf
 from torchmat.fitting import FitResult, evaluate
 from torchmat.fitting.evaluate import LARGE_TEXELS, comparable
 from torchmat.frames import half_vector
+from torchmat.machine import give_back
 from torchmat.material_io import packed, save_material
 from torchmat.models import Distribution, Material
 from torchmat.progress import in_command, phase
@@ -46,11 +47,16 @@ def write_fit(
         choice = report["figures"].get("auto")
         if choice:
             (building / "decisions.txt").write_text(decisions_text(choice), encoding="utf-8")
+        large = drawn is not result.material
+        if large:
+            give_back()  # measuring and writing textures leave hundreds of megabytes with the allocator
         if pictures:
             rows = shown_samples(btf, pictured)
             written = _fit_pictures(btf, pictured, drawn, building / "pictures", rows)
             if choice:
                 written.insert(0, decisions_picture(choice, building / "pictures" / "decisions.png"))
+            if large:
+                give_back()
             with phase("writing the report"):
                 cards, numbers = map_cards(result.material, building), parameter_rows(result.material)
                 certain = [] if result.uncertainty is None else error_cards(result.material, result.uncertainty, building)
@@ -82,6 +88,8 @@ def _fit_pictures(btf: Btf, pictured: FitResult, drawn: Material, folder: Path, 
     half = half_vector(btf.lights[:, None], btf.views[None], dim=-1).flatten(0, 1)
     with phase("drawing the maps"):
         written.append(maps_picture(drawn, folder / "maps.png", half))
+        if drawn.texels < pictured.report["texels"]:
+            give_back()
         written.append(hemisphere_picture(drawn, folder / "hemisphere.png", measured=Measured(btf.lights, btf.views)))
     return written
 
