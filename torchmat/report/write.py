@@ -27,6 +27,9 @@ from torchmat.report.tables import to_json
 from torchmat.report.viewer import viewer_of
 
 
+_DRAWN_TEXELS = 1 << 18  # of large images: more than any picture of a page shows
+
+
 def write_fit(
     btf: Btf, result: FitResult, folder: str | Path, pictures: bool = True, force: bool = False
 ) -> Path:
@@ -73,9 +76,10 @@ def _pictured(result: FitResult, btf: Btf) -> tuple[FitResult, Btf]:
     A page shows 320 of thousands of texels beside each other; a relief's neighbours belong to what is seen, and it stays whole.
     """
     material = result.material
-    step = math.ceil(math.sqrt(btf.height * btf.width / LARGE_TEXELS))
-    if step == 1 or material.has_relief:
+    texels = btf.height * btf.width
+    if texels <= LARGE_TEXELS or material.has_relief:
         return result, btf
+    step = math.ceil(math.sqrt(texels / _DRAWN_TEXELS))
     lines = slice(0, None, step)
     coverage = None if result.coverage is None else result.coverage[:, ::step, ::step]
     return replace(result, material=material.some_texels(lines, lines), coverage=coverage), btf.window(0, 0, btf.height, btf.width, step)
