@@ -10,7 +10,9 @@ import torch
 from tests.capture.shots import beside_lens
 from tests.capture.simulated import Lamp, Lens, Studio, matte_grey, shots_around, write
 
+import torchmat as tm
 from torchmat.capture.board import Board
+from torchmat.capture.capture import capture_btf
 from torchmat.capture.photographs import photograph
 from torchmat.capture.photometry import PhotometryOptions, photometry
 from torchmat.capture.scene import Scene
@@ -18,7 +20,7 @@ from torchmat.capture.view import Camera, Pose
 from torchmat.errors import FitError, RangeError
 
 LENS = Lens(size=(840, 560), focal=940.0)
-STUDIO = Studio(matte_grey(0.4), lens=LENS, texels=(8, 8), vignetting=0.25, gains=(0.8, 1.0, 0.6), full_well=20000.0, blur=0.6)
+STUDIO = Studio(matte_grey(0.4), Board(diameter=40.0), LENS, texels=(8, 8), vignetting=0.25, gains=(0.8, 1.0, 0.6), full_well=20000.0, blur=0.6)
 LAMPS = [
     Lamp((-220, 120, 420), (1.0, 0.95, 0.8), gradient=(0.2, -0.1)), Lamp((150, 260, 350), (0.8, 0.76, 0.64)), Lamp((40, -300, 380), (1.1, 1.0, 0.7)),
     Lamp((-60, 30, 480), (1.05, 1.0, 0.85)),
@@ -96,11 +98,13 @@ def test_each_step_says_what_it_found_and_its_residual(found):
 
 def test_shading_alone_is_an_estimate_within_what_it_says(scene, taken):
     found = photometry(scene, PhotometryOptions(lights="shading"))
-    for index in range(4):
+    told = [index for index in range(4) if found.keep[index]]
+    assert len(told) >= 3 and all("must tell where the lamp is" in fault for fault in found.faults if fault)
+    for index in told:
         off = degrees_between(found.lights[index], LAMPS[index])
-        assert off < 4 * found.lights[index].sigma_deg and off < 6
+        assert off < 3 * found.lights[index].sigma_deg and off < 6
     assert "an estimate" in found.steps[0].found and "% of the paper's brightness" in found.steps[0].residual
-    assert found.vignetting.corner == pytest.approx(0.75, abs=min(0.1, 2 * found.vignetting.sigma))
+    assert found.vignetting.corner == pytest.approx(0.75, abs=min(0.2, 3 * found.vignetting.sigma))
 
 
 def test_lights_that_do_not_explain_the_paper_are_refused(scene):
@@ -142,3 +146,20 @@ def test_the_flash_beside_the_lens_without_spheres(tmp_path):
         assert degrees_between(found.lights[index], one.shot.lamp) < 1e-3
         assert np.abs(scale_errors(found, index, one)).max() < 0.03
     assert found.light.shape == (2, 3) and torch.isfinite(found.correct(0, torch.rand(3, 560, 840))).all()
+
+
+def test_a_fit_from_photographs_gives_the_samples_reflectance(scene, tmp_path):
+    """From files alone: the camera, the poses, the lamps and the white are found, and the matte grey of 0.4 comes out."""
+    pytest.importorskip("cv2")
+    captured = capture_btf(scene.photographs[0].path.parent, tmp_path / "btf", STUDIO.board, measured=150.0, texel=2.0, progress=False)
+    assert captured.used == tuple(one.name for one in scene.photographs) and captured.left_out == {}
+    btf = tm.load_btf(captured.folder, cache=False, progress=False)
+    lamps = np.array([lamp.position for lamp in LAMPS])
+    cosine = (btf.light.numpy() * lamps / np.linalg.norm(lamps, axis=1, keepdims=True)).sum(1)
+    assert np.degrees(np.arccos(cosine)).max() < 1.5
+    material = tm.fit(btf, "lambert", holdout=0, measure=False).material
+    up = torch.tensor([0.0, 0, 1])[:, None, None]
+    with torch.no_grad():
+        shown = material.shade(up, up)
+    assert shown.mean((1, 2)).numpy() == pytest.approx([0.4] * 3, rel=0.02)
+    assert float((shown / 0.4 - 1).abs().quantile(0.98)) < 0.05

@@ -27,8 +27,8 @@ from torchmat.errors import DataError, FitError, check_option, message
 
 LIGHTS = ("auto", "spheres", "flash", "shading")
 _LEAST_PAPER = 30  # points of white paper in a photograph
-_UNEXPLAINED = 0.3  # relative, in a corner of the window: light that is so much stronger there comes from elsewhere
-_DEVIATES = 0.04  # relative rms of paper about what lamps, lens and a slope explain
+_UNEXPLAINED = 0.2  # relative, in a corner of the window: light that is so much stronger there comes from elsewhere
+_DEVIATES = 0.025  # relative rms of paper about what lamps, lens and a slope explain
 _LEAST_PATCH = 0.5  # of a patch's points that must be good
 
 

@@ -18,7 +18,7 @@ from torchmat.capture.white import White
 from torchmat.colour import display
 
 _SHOWN = 6  # photographs whose highlights are shown
-_UNEVEN = 0.2  # relative, in a corner of the window, of which it is said
+_UNEVEN = 0.1  # relative, in a corner of the window, of which it is said
 _SIDE = 160  # pixels of a picture of a sphere
 _MARK = (1.0, 0.2, 0.1)
 
