@@ -21,7 +21,7 @@ from torchmat.models import Material
 from torchmat.models.uncertainty import Uncertainty, check_sure
 from torchmat.progress import progress as progress_bar
 
-_WORK = 40_000_000  # samples times texels that are looked at
+_WORK = 2_000_000  # samples times texels that are looked at
 _FEWEST = 64  # photographs, and so many for each number of a texel
 _OF_EACH = 6
 _STRIP = 24_000_000  # numbers of the covariances of a strip
@@ -40,7 +40,7 @@ def uncertainty(
     Args:
         material: a fitted material, in the size of the images, or a part of them.
         btf: the images that it was fitted to.
-        rows: numbers of the samples that were fitted, such as ``result.split.train``; None is all. Of more than 40 million
+        rows: numbers of the samples that were fitted, such as ``result.split.train``; None is all. Of more than 2 million
             samples of texels some photographs are looked at, evenly chosen, and stand for all.
         objective: what the fit made small, None for the model's own way (`fit`).
         progress: whether to show a bar; None shows it on a terminal.

@@ -53,15 +53,13 @@ def covariance_of(
     observed: Observed, rows: Tensor, jacobian: Jacobian, noise: Noise, whole: float, by_luminance: Sequence[str] = ()
 ) -> list[tuple[list[int], Tensor]]:
     """Return the covariance [texel, k, k] of each block of ways, with their numbers; no variance exceeds the square of a span."""
-    found = []
-    for numbers, colours in blocks_of(jacobian, by_luminance):
-        span = torch.tensor([jacobian.ways[number].span for number in numbers], dtype=torch.float64)
-        few = torch.tensor([jacobian.ways[number].name in by_luminance for number in numbers])
-        bread, meat, plain = _sums(observed, rows, jacobian, noise, numbers, colours, few)
-        scale = span[:, None] * span
-        share = _covariance(*(whole * part * scale for part in (bread, meat, plain)))
-        found.append((numbers, share * scale))
-    return found
+    blocks = [_Block(numbers, colours, jacobian, noise, by_luminance) for numbers, colours in blocks_of(jacobian, by_luminance)]
+    texels = observed.btf.height * observed.btf.width
+    for part in rows.split(max(1, _VALUES // (3 * len(jacobian.ways) * texels))):
+        slope = jacobian.of(observed, observed.some(part)).flatten(3)  # [n, 3, way, texel]
+        for block in blocks:
+            block.add(slope)
+    return [(block.numbers, block.covariance(whole)) for block in blocks]
 
 
 def blocks_of(jacobian: Jacobian, by_luminance: Sequence[str] = ()) -> list[tuple[list[int], list[int]]]:
@@ -73,26 +71,35 @@ def blocks_of(jacobian: Jacobian, by_luminance: Sequence[str] = ()) -> list[tupl
     return [block for block in blocks if block[0]]
 
 
-def _sums(
-    observed: Observed, rows: Tensor, jacobian: Jacobian, noise: Noise, numbers: list[int], colours: list[int], few: Tensor
-) -> tuple[Tensor, Tensor, Tensor]:
-    """Return the sums of G^T J, G^T N G and J^T J over samples, [texel, k, k] each."""
-    texels, size = observed.btf.height * observed.btf.width, len(numbers)
-    sums = torch.zeros(3, texels, size, size, dtype=torch.float64)
-    root = _root(noise.covariance[:, colours][:, :, colours])
-    weights = torch.tensor(_LUMINANCE, dtype=torch.float64)[:, None, None]
-    for part in rows.split(max(1, _VALUES // (3 * len(jacobian.ways) * texels))):
-        slope = jacobian.of(observed, observed.some(part)).double().flatten(3)  # [n, 3, way, texel]
-        slope = slope[:, colours][:, :, numbers].permute(3, 0, 1, 2)  # [texel, n, colour, k]
+class _Block:
+    """The sums of G^T J, G^T N G and J^T J over samples, [texel, k, k] each, of ways that share colours."""
+
+    def __init__(
+        self, numbers: list[int], colours: list[int], jacobian: Jacobian, noise: Noise, by_luminance: Sequence[str]
+    ) -> None:
+        self.numbers, self.colours = numbers, colours
+        self._span = torch.tensor([jacobian.ways[number].span for number in numbers], dtype=torch.float64)
+        self._few = torch.tensor([jacobian.ways[number].name in by_luminance for number in numbers])
+        self._root = _root(noise.covariance[:, colours][:, :, colours])
+        self._sums = torch.zeros(3, len(self._root), len(numbers), len(numbers), dtype=torch.float64)
+
+    def add(self, slope: Tensor) -> None:
+        """Add some samples, whose derivatives after all ways are [n, 3, way, texel]."""
+        slope = slope[:, self.colours][:, :, self.numbers].double().permute(3, 0, 1, 2)  # [texel, n, colour, k]
         asked = slope
-        if bool(few.any()):
-            asked = torch.where(few, weights[:, 0] * (weights[:, 0] * slope).sum(dim=2, keepdim=True), slope)
-        noisy = root.transpose(1, 2)[:, None] @ asked
+        if bool(self._few.any()):
+            weights = torch.tensor(_LUMINANCE, dtype=torch.float64)[:, None]
+            asked = torch.where(self._few, weights * (weights * slope).sum(dim=2, keepdim=True), slope)
+        noisy = self._root.transpose(1, 2)[:, None] @ asked
         flat, asked, noisy = (one.flatten(1, 2) for one in (slope, asked, noisy))
         with one_thread():
-            for total, left, right in zip(sums, (asked, noisy, flat), (flat, noisy, flat), strict=True):
+            for total, left, right in zip(self._sums, (asked, noisy, flat), (flat, noisy, flat), strict=True):
                 total += left.transpose(1, 2) @ right
-    return sums[0], sums[1], sums[2]
+
+    def covariance(self, whole: float) -> Tensor:
+        """Return the covariance [texel, k, k] for `whole` times as many samples."""
+        scale = self._span[:, None] * self._span
+        return _covariance(*(whole * part * scale for part in self._sums)) * scale
 
 
 def _root(covariance: Tensor) -> Tensor:
