@@ -1,6 +1,6 @@
 """The benchmark suite of captures: simulated photographs of a known sample, and photographs that cannot be used.
 
-``python scripts/bench/capture.py [--photographs DIR] [--only geometry bad]`` writes ``results/capture.json``. The light is given as it is: what is
+``python scripts/bench/capture.py [--photographs DIR] [--count N] [--only geometry bad]`` writes ``results/capture.json``. The light is given as it is: what is
 measured is where the camera stood, and where texels come to lie. The photographs of 3000 x 2000 take some minutes to simulate; those that
 stand in DIR are taken from there.
 """
@@ -30,6 +30,7 @@ from tests.capture.simulated import Studio, write  # noqa: E402
 from torchmat.capture.board import Board  # noqa: E402
 from torchmat.capture.detect import detect  # noqa: E402
 from torchmat.capture.locate import locate, photograph_files, read_photographs  # noqa: E402
+from torchmat.capture.photographs import turned_alike  # noqa: E402
 from torchmat.capture.rectify import choose_grid  # noqa: E402
 from torchmat.capture.register import register  # noqa: E402
 from torchmat.colour import srgb_to_linear  # noqa: E402
@@ -42,7 +43,8 @@ TEXELS = 640
 def sample(light: torch.Tensor, view: torch.Tensor) -> torch.Tensor:
     """A matte pattern of three sizes under a gloss."""
     draw = torch.Generator().manual_seed(7)
-    layers = [torch.nn.functional.interpolate(torch.rand(1, 3, side, side, generator=draw), (TEXELS, TEXELS), mode="bicubic") for side in (20, 90, 300)]
+    noise = [torch.rand(1, 3, side, side, generator=draw) for side in (20, 90, 300)]
+    layers = [torch.nn.functional.interpolate(one, (TEXELS, TEXELS), mode="bicubic") for one in noise]
     albedo = (0.05 + 0.5 * sum(layers)[0] / 3).clamp(0.02, 0.9)
     half = torch.nn.functional.normalize(light + view, dim=0)
     return (albedo + 0.3 * half[2:].clamp(min=0) ** 60) * light[2:].clamp(min=0)
@@ -58,28 +60,30 @@ def shots() -> list[Shot]:
         tilt, turn = np.radians(random.uniform(5, 45)), np.radians(222.5 * number)
         lamp = random.uniform(450, 600) * np.array([np.sin(tilt) * np.cos(turn), np.sin(tilt) * np.sin(turn), np.cos(tilt)])
         aim = (*random.uniform(-10, 10, 2), 0.0)
-        found.append(Shot(tuple(place), Lamp(tuple(lamp)), random.uniform(0.6, 0.9), aim, float(random.choice([90, 270]) + random.uniform(-10, 10))))
+        exposure, roll = random.uniform(0.6, 0.9), float(random.choice([90, 270]) + random.uniform(-10, 10))
+        found.append(Shot(tuple(place), Lamp(tuple(lamp)), exposure, aim, roll))
     return found
 
 
-def geometry(folder: Path) -> dict[str, Any]:
-    """View directions and places of texels against what is true, of photographs in `folder`, which are made where there are none."""
+def geometry(folder: Path, count: int = COUNT) -> dict[str, Any]:
+    """View directions and places of texels against what is true, of `count` photographs in `folder`, which are made where there are none."""
     left, bottom, right, top = Board().window
     studio = Studio(sample, Board(spheres=0), LENS, (TEXELS, TEXELS), (left, bottom, right, top), vignetting=0.25, full_well=20000, blur=0.5)
-    taken = shots()
+    taken = shots()[:count]
     for number, shot in enumerate(taken, 1):
         if not (folder / f"photo_{number:02d}.jpg").is_file():
             write(folder / "new", [studio.one(shot, number)], ".jpg")
             (folder / "new" / "photo_01.jpg").rename(folder / f"photo_{number:02d}.jpg")
-            print(f"photograph {number} of {COUNT}", flush=True)
+            print(f"photograph {number} of {count}", flush=True)
+    by_name = {f"photo_{number:02d}.jpg": shot for number, shot in enumerate(taken, 1)}
     start = time.process_time()
-    found, unread = read_photographs([path for path in photograph_files(folder) if path.stem.startswith("photo_")])
-    located = locate(Board(spheres=0), found, unread, show=False)
-    scene, by_name = located.scene, {f"photo_{number:02d}.jpg": shot for number, shot in enumerate(taken, 1)}
+    found, unread = read_photographs([path for path in photograph_files(folder) if path.name in by_name])
+    located = locate(Board(spheres=0), turned_alike(found), unread, show=False)
+    scene = located.scene
     grid = choose_grid(scene.board, scene.cameras, scene.poses)
     registered = register(scene, KnownLight(by_name, scene), grid, show=False)
     seconds = time.process_time() - start
-    row = {"photographs": COUNT, "used": len(scene.photographs), "size": list(SIZE), "texels": list(grid.shape), "seconds_of_cpu": seconds}
+    row = {"photographs": count, "used": len(scene.photographs), "size": list(SIZE), "texels": list(grid.shape), "seconds_of_cpu": seconds}
     row |= {"corners_px_rms": located.calibration.rms, "model": located.calibration.model, "focal_error": scene.cameras[0].matrix[0, 0] / LENS.focal - 1}
     row |= _against_truth(studio, by_name, scene, grid, registered)
     row |= {"measured_texels_rms": registered.step.figures["after_texels"], "moved": registered.step.figures["moved"], "height_mm": registered.height}
@@ -93,7 +97,8 @@ def _against_truth(studio: Studio, by_name: dict[str, Shot], scene: Any, grid: A
     step_y, step_x = grid.texel
 
     def place(texel: np.ndarray) -> np.ndarray:
-        return np.stack((grid.box[0] + (texel[..., 0] + 0.5) * step_x, grid.box[3] - (texel[..., 1] + 0.5) * step_y, np.zeros(texel.shape[:2])), axis=-1)
+        x, y = grid.box[0] + (texel[..., 0] + 0.5) * step_x, grid.box[3] - (texel[..., 1] + 0.5) * step_y
+        return np.stack((x, y, np.zeros(x.shape)), axis=-1)
 
     angles, beside = [], []
     for one, camera, pose, shift in zip(scene.photographs, scene.cameras, scene.poses, registered.shifts, strict=True):
@@ -124,13 +129,15 @@ def bad() -> list[dict[str, Any]]:
         right[name] += reason.startswith(word) and bool(reason) == bool(word)
         if not (reason.startswith(word) and bool(reason) == bool(word)):
             wrong.append(f"{name}: {reason or 'used'}")
-    return [{"bad": name, "photographs": total[name], "told": right[name], "otherwise": [one for one in wrong if one.startswith(f"{name}: ")]} for name in total]
+    others = {name: [one for one in wrong if one.startswith(f"{name}: ")] for name in total}
+    return [{"bad": name, "photographs": total[name], "told": right[name], "otherwise": others[name]} for name in total]
 
 
 def main() -> None:
     """Measure what is asked for."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--photographs", type=Path)
+    parser.add_argument("--count", type=int, default=COUNT)
     parser.add_argument("--only", nargs="+", default=("geometry", "bad"), choices=("geometry", "bad"))
     given = parser.parse_args()
     path = RESULTS / f"{NAME}.json"
@@ -140,7 +147,7 @@ def main() -> None:
         save(NAME, rows)
     if "geometry" in given.only:
         with tempfile.TemporaryDirectory() as made:
-            rows = [geometry(given.photographs or Path(made))] + [row for row in rows if "bad" in row]
+            rows = [geometry(given.photographs or Path(made), given.count)] + [row for row in rows if "bad" in row]
         save(NAME, rows)
     for row in rows:
         print(row)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import re
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -101,3 +103,16 @@ def test_the_command_draws_and_says_what_to_measure(tmp_path, capsys):
     assert "window     77 x 77 mm" in capsys.readouterr().out and (tmp_path / "b.svg").is_file()
     assert torchmat.cli.main(["board", "--out", str(tmp_path / "b.doc")]) == 2
     assert "'.doc'" in capsys.readouterr().err and not (tmp_path / "b.doc").exists()
+
+
+def test_without_opencv_the_extra_is_named_and_everything_can_be_imported(tmp_path):
+    code = f"""
+import sys, pkgutil, importlib
+sys.modules["cv2"] = sys.modules["rawpy"] = None
+import torchmat.capture
+for part in pkgutil.iter_modules(torchmat.capture.__path__):
+    importlib.import_module(f"torchmat.capture.{{part.name}}")
+sys.exit(__import__("torchmat.cli").cli.main(["board", "--out", {str(tmp_path / "b.pdf")!r}]))
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.returncode == 2 and "pip install torchmat[capture]" in done.stderr and not (tmp_path / "b.pdf").exists()
