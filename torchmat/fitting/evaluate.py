@@ -236,7 +236,7 @@ def shading_rate(material: Material) -> float:
     Of a large flat material on some of its rows.
     """
     if material.texels > LARGE_TEXELS and not material.has_relief:
-        rows = max(1, LARGE_TEXELS // material.size[1])
+        rows = max(1, _OF_EACH // material.size[1])
         material = material.some_texels(slice(0, rows), slice(0, material.size[1]))
     light = torch.tensor([0.3, 0.2, math.sqrt(0.87)])[:, None, None]
     view = torch.tensor([-0.4, 0.1, math.sqrt(0.83)])[:, None, None]
