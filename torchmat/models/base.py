@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import inspect
 import math
 from collections.abc import Callable, Mapping
@@ -315,12 +314,16 @@ def combine(weights: Tensor, layers: Tensor) -> Tensor:
     return total
 
 
-@functools.cache
+_OPTION_NAMES: dict[type[Material], tuple[str, ...]] = {}  # what was found of each class
+
+
 def _option_names(kind: type[Material]) -> tuple[str, ...]:
     """Return the keywords that the constructors of a model and of its bases take."""
-    found: dict[str, None] = {}
-    for base in kind.__mro__:
-        if issubclass(base, Material) and "__init__" in vars(base):
-            parameters = inspect.signature(base.__init__).parameters.values()
-            found |= {p.name: None for p in parameters if p.kind is p.KEYWORD_ONLY}
-    return tuple(found)
+    if kind not in _OPTION_NAMES:
+        found: dict[str, None] = {}
+        for base in kind.__mro__:
+            if issubclass(base, Material) and "__init__" in vars(base):
+                parameters = inspect.signature(base.__init__).parameters.values()
+                found |= {p.name: None for p in parameters if p.kind is p.KEYWORD_ONLY}
+        _OPTION_NAMES[kind] = tuple(found)
+    return _OPTION_NAMES[kind]
