@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from torchmat.capture.rectify import Grid
+from torchmat.capture.register import _without_relief
 from torchmat.capture.align import IDENTITY, align, correlation, features, moved_by, remaining, warped
 
 pytest.importorskip("cv2")
@@ -81,3 +83,13 @@ def test_the_shift_that_remains_is_measured():
 def test_a_map_looks_into_a_picture():
     shift = np.array([[1.0, 0, 3], [0, 1, -2]])
     assert warped(PLAIN, shift)[2:, :-3] == pytest.approx(PLAIN[:-2, 3:], abs=1e-5) and moved_by(shift, (SIZE, SIZE)) == pytest.approx(np.hypot(3, 2))
+
+
+def test_relief_that_lights_move_is_not_followed_and_a_moved_sample_is():
+    grid = Grid((-50.0, -50.0, 50.0, 50.0), (100, 100))
+    shift = [np.array([[1.0, 0, by], [0, 1, 0]]) for by in (0.6, 0.7, 0.8, 3.0)]  # texels of a millimetre
+    notes = []
+    kept = _without_relief([*shift, None, None], grid, notes)
+    assert [one is not None for one in kept] == [False, False, False, True, False, False] and "3 photographs" in notes[0]
+    few = [shift[0], shift[3], None, None, None, None]
+    assert _without_relief(few, grid, notes) == few and len(notes) == 1

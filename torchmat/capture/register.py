@@ -17,6 +17,7 @@ _SIDE = 512  # texels along the longer side suffice to register on
 _LEAST, _GAIN = 0.35, 0.97  # texels that a shift must be larger than, and what of the unexplained it must leave at most
 _PATTERN = 0.3  # correlation below which photographs have no pattern in common
 _ROUNDS = 2
+_RELIEF = 0.3  # of the photographs that would be moved a little, from which on it is relief that lights move
 _MOVED = 1.0  # mm beside the others: the sample was moved
 _HEIGHTS, _REFINED = 4, 0.05  # times that a height is looked for, and texels that one which is known is refined by
 _SURE, _BETTER = 4.0, 0.7  # standard errors of a height, and what it must leave of the shifts
@@ -51,6 +52,7 @@ def register(scene: Scene, photometry: Photometry, grid: Grid, find_height: bool
         notes.append(f"The sample's surface lies {coarse.height:.2f} mm above the board: found from its own pattern, and taken into account")
     before = [_rest(*_others(patterns, index)) for index in range(len(patterns))]
     shifts, alike = _aligned(patterns, coarse)
+    shifts = _without_relief(shifts, coarse, notes)
     moved = [pattern if shift is None else warped(pattern, shift) for pattern, shift in zip(patterns, shifts, strict=True)]
     after = [_rest(*_others(moved, index)) for index in range(len(patterns))]
     scale = grid.shape[1] / coarse.shape[1]
@@ -105,6 +107,17 @@ def _aligned(patterns: Sequence[np.ndarray], grid: Grid) -> tuple[list[np.ndarra
             gains = found.after > _PATTERN and 1 - found.after**2 < _GAIN * (1 - max(plain, 0) ** 2)
             shifts[index] = found.shift if gains and found.moves(grid.shape) > _LEAST else None
     return shifts, alike
+
+
+def _without_relief(shifts: list[np.ndarray | None], grid: Grid, notes: list[str]) -> list[np.ndarray | None]:
+    """Return the maps without those of relief that lights move: where a good part of the photographs would each be moved a little, it is
+    not the sample that was."""
+    lengths = [0.0 if shift is None else moved_by(shift, grid.shape) * grid.texel[1] for shift in shifts]
+    little = [0 < length <= _MOVED for length in lengths]
+    if sum(little) <= _RELIEF * len(shifts):
+        return shifts
+    notes.append(f"{sum(little)} photographs would each be moved by less than {_MOVED:g} mm: lights move what relief shows, so that they lie as their poses say")
+    return [None if small else shift for shift, small in zip(shifts, little, strict=True)]
 
 
 def _height(found: Sequence[Alignment], scene: Scene, grid: Grid, least: float) -> float | None:
