@@ -12,6 +12,7 @@ import busy
 import compare
 import compiled
 import exports
+import fast
 import finish
 import meshes
 import objects
@@ -216,7 +217,7 @@ def large() -> list[dict[str, Any]]:
 SUITES = {
     "accuracy": accuracy, "pipeline": pipeline, "start_up": start_up, "loading": loading, "shading": shading, "large": large,
     "geometry": reliefs.geometry, "relief": reliefs.relief, "distribution": reliefs.distribution,
-    "finish": finish.finish, "compiled": compiled.measure, "auto": auto.auto, "scale": scale.scale, "scene": scene.scene,
+    "finish": finish.finish, "fast": fast.fast, "compiled": compiled.measure, "auto": auto.auto, "scale": scale.scale, "scene": scene.scene,
     "shading_maps": shading_maps.shading_maps,
     "objects": objects.objects, "meshes": meshes.meshes, "compare": compare.compare, "solvers": solvers.solvers,
     "protocol": protocol.protocol, "brdfs": brdfs.brdfs, "wishes": wishes.wishes, "busy": busy.busy, "signs": signs.signs, "exports": exports.exports,
