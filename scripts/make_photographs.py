@@ -22,13 +22,13 @@ from pathlib import Path
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-from tests.capture.shots import Lens, Shot  # noqa: E402
-from tests.capture.simulated import Studio, Taken, write  # noqa: E402
-from tests.capture.swatch import leather, shots_by_hand  # noqa: E402
+from tests.capturing.shots import Lens, Shot  # noqa: E402
+from tests.capturing.simulated import Studio, Taken, write  # noqa: E402
+from tests.capturing.swatch import leather, shots_by_hand  # noqa: E402
 
-from torchmat.capture.board import Board  # noqa: E402
-from torchmat.capture.rectify import Grid  # noqa: E402
-from torchmat.capture.write import manifest_text  # noqa: E402
+from torchmat.capturing.board import Board  # noqa: E402
+from torchmat.capturing.rectify import Grid  # noqa: E402
+from torchmat.capturing.write import manifest_text  # noqa: E402
 from torchmat.images import write_image  # noqa: E402
 
 GAINS = (0.62, 1.0, 0.7)  # the camera's own white

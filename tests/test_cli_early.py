@@ -15,8 +15,8 @@ from torchmat.btf.decode import ENCODINGS
 from torchmat.btf.load import DUPLICATE_WAYS, INVALID_WAYS
 from torchmat.btf.reader import READERS
 from torchmat.btf.split import HOLDOUT_WAYS
-from torchmat.capture.board import PAPERS
-from torchmat.capture.photometry import LIGHTS
+from torchmat.capturing.board import PAPERS
+from torchmat.capturing.photometry import LIGHTS
 from torchmat.cli import known
 from torchmat.cli.arguments import DataArguments
 from torchmat.cli.early import check_model

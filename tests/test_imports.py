@@ -20,7 +20,7 @@ LEVELS = {
     "icc": 1, "atomic": 1, "swap": 1, "channels": 1, "frames": 1, "images": 1, "text_file": 1, "places": 0, "metrics": 1, "bootstrap": 0, "sample": 1, "shipped": 1,
     "solvers": 1,
     "brdf": 2, "btf": 2, "geometry": 2, "models": 3, "fitting": 4, "rendering": 4, "scene_use": 2, "material_io": 4,
-    "create": 4, "web": 4, "report": 5, "many": 5, "studio": 6, "capture": 6, "cli": 7,
+    "create": 4, "web": 4, "report": 5, "many": 5, "studio": 6, "capturing": 6, "cli": 7,
 }
 _SIDE_BY_SIDE = {"fitting", "rendering", "material_io", "create"}
 ROOMS_THAT_DO_NOT_MEET = {room: _SIDE_BY_SIDE - {room} for room in _SIDE_BY_SIDE}
@@ -28,7 +28,7 @@ ROOMS_THAT_DO_NOT_MEET["models"] = {"btf"}
 
 PUBLIC = {
     "LBFGS", "Adam", "Brdf", "Btf", "Camera", "ClosedForm", "DataError", "Directional", "Exporter", "FitConfig",
-    "FitError", "FitResult", "LevenbergMarquardt", "Losses", "Material", "Minibatch", "Plan", "Point", "RangeError", "RawBtf", "capture_btf",
+    "FitError", "FitResult", "LevenbergMarquardt", "Losses", "Material", "Minibatch", "Plan", "Point", "RangeError", "RawBtf", "capture",
     "Reader", "Recipe", "Scene", "ShapeError", "TorchmatError", "Uncertainty", "VariableProjection", "compare", "describe_model",
     "describe_models", "environment_lights", "evaluate", "export", "fit", "load_brdf", "load_btf", "load_config",
     "load_material", "open_studio", "pack", "plan", "recover_geometry", "refit", "register", "register_exporter", "register_reader", "render",

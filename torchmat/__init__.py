@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from torchmat.brdf import Brdf, load_brdf
     from torchmat.btf import Btf, Reader, load_btf, register_reader, split_samples
     from torchmat.btf.interpolated import RawBtf
-    from torchmat.capture.capture import capture_btf
+    from torchmat.capturing.capture import capture
     from torchmat.errors import DataError, FitError, RangeError, ShapeError, TorchmatError
     from torchmat.fitting import FitConfig, Recipe, describe_model, describe_models, load_config, recover_geometry, register
     from torchmat.fitting.certainty.estimate import uncertainty
@@ -35,7 +35,7 @@ _NAMES = {
     "brdf": ("Brdf", "load_brdf"),
     "btf": ("Btf", "Reader", "load_btf", "register_reader", "split_samples"),
     "btf.interpolated": ("RawBtf",),
-    "capture.capture": ("capture_btf",),
+    "capturing.capture": ("capture",),
     "errors": ("DataError", "FitError", "RangeError", "ShapeError", "TorchmatError"),
     "fitting": (
         "FitConfig", "FitResult", "Recipe", "describe_model", "describe_models", "evaluate", "fit", "load_config",
@@ -57,7 +57,7 @@ _PLACES = {name: place for place, names in _NAMES.items() for name in names}
 __all__ = [
     "LBFGS", "Adam", "Brdf", "Btf", "Camera", "ClosedForm", "DataError", "Directional", "Exporter", "FitConfig",
     "FitError", "FitResult", "LevenbergMarquardt", "Losses", "Material", "Minibatch", "Plan", "Point", "RangeError", "RawBtf",
-    "Reader", "Recipe", "Scene", "ShapeError", "TorchmatError", "Uncertainty", "VariableProjection", "capture_btf", "compare", "describe_model",
+    "Reader", "Recipe", "Scene", "ShapeError", "TorchmatError", "Uncertainty", "VariableProjection", "capture", "compare", "describe_model",
     "describe_models", "environment_lights", "evaluate", "export", "fit", "load_brdf", "load_btf", "load_config",
     "load_material", "open_studio", "pack", "plan", "recover_geometry", "refit", "register", "register_exporter", "register_reader", "render",
     "sample_path", "sample_truth", "save_material", "split_samples", "uncertainty",

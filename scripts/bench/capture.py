@@ -22,17 +22,17 @@ import torch
 from measure import RESULTS, save
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
-from tests.capture.bad_photographs import bad_photographs, photographs_of  # noqa: E402
-from tests.capture.known_light import KnownLight  # noqa: E402
-from tests.capture.shots import Lamp, Lens, Shot  # noqa: E402
-from tests.capture.simulated import Studio, write  # noqa: E402
+from tests.capturing.bad_photographs import bad_photographs, photographs_of  # noqa: E402
+from tests.capturing.known_light import KnownLight  # noqa: E402
+from tests.capturing.shots import Lamp, Lens, Shot  # noqa: E402
+from tests.capturing.simulated import Studio, write  # noqa: E402
 
-from torchmat.capture.board import Board  # noqa: E402
-from torchmat.capture.detect import detect  # noqa: E402
-from torchmat.capture.locate import locate, photograph_files, read_photographs  # noqa: E402
-from torchmat.capture.photographs import turned_alike  # noqa: E402
-from torchmat.capture.rectify import choose_grid  # noqa: E402
-from torchmat.capture.register import register  # noqa: E402
+from torchmat.capturing.board import Board  # noqa: E402
+from torchmat.capturing.detect import detect  # noqa: E402
+from torchmat.capturing.locate import locate, photograph_files, read_photographs  # noqa: E402
+from torchmat.capturing.photographs import turned_alike  # noqa: E402
+from torchmat.capturing.rectify import choose_grid  # noqa: E402
+from torchmat.capturing.register import register  # noqa: E402
 from torchmat.colour import srgb_to_linear  # noqa: E402
 
 NAME, COUNT, BAD, SIZE = "capture", 30, 200, (3000, 2000)

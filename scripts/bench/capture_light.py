@@ -19,10 +19,10 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from make_photographs import shots_by_hand, studio  # noqa: E402
 
-from torchmat.capture.board import Board  # noqa: E402
-from torchmat.capture.locate import locate, photograph_files, read_photographs  # noqa: E402
-from torchmat.capture.photographs import turned_alike  # noqa: E402
-from torchmat.capture.photometry import photometry  # noqa: E402
+from torchmat.capturing.board import Board  # noqa: E402
+from torchmat.capturing.locate import locate, photograph_files, read_photographs  # noqa: E402
+from torchmat.capturing.photographs import turned_alike  # noqa: E402
+from torchmat.capturing.photometry import photometry  # noqa: E402
 
 
 def light(folder: Path, width: int) -> dict[str, Any]:

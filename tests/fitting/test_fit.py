@@ -22,7 +22,7 @@ from torchmat.report.tables import to_json
 
 REPORT_KEYS = {
     "model", "options", "samples", "texels", "seed", "bytes_per_texel", "fit_seconds", "load_seconds",
-    "shade_mtexels_per_s", "peak_rss_mb", "fast", "stop_reason", "train", "held_out", "held_out_after_export", "versions",
+    "shade_mtexels_per_s", "peak_rss_mb", "fast", "uncertainty", "stop_reason", "train", "held_out", "held_out_after_export", "versions",
 }
 EXTRA_KEYS = {
     "target", "data", "curve", "holdout", "holdout_by", "geometry", "tiles", "tiling", "shared_bytes", "coverage", "source", "figures", "lambert_residual",

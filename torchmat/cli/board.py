@@ -30,8 +30,8 @@ class Board:
     """Resolution of a PNG."""
 
     def run(self) -> None:
-        from torchmat.capture.board import Board as Printed
-        from torchmat.capture.draw_board import write_board
+        from torchmat.capturing.board import Board as Printed
+        from torchmat.capturing.draw_board import write_board
 
         board = Printed(self.size, self.spheres, self.diameter, self.series)
         left, bottom, right, top = board.window

@@ -80,12 +80,12 @@ class Capture:
             check_option("capture", "--lights", self.lights, LAMPS)
 
     def run(self) -> None:
-        from torchmat.capture.board import Board
-        from torchmat.capture.capture import capture_btf
-        from torchmat.capture.page import steps_table
+        from torchmat.capturing.board import Board
+        from torchmat.capturing.capture import capture
+        from torchmat.capturing.page import steps_table
 
         board = Board(self.size, self.spheres, self.diameter, self.series)
-        captured = capture_btf(
+        captured = capture(
             self.path, self.out, board, self._light(), measured=self.measured, texel=self.texel, height=self.height,
             refine=not self.no_register, brackets=self.brackets, encoding=self.encoding, force=self.force,
         )
@@ -97,7 +97,7 @@ class Capture:
         print(f"page       {captured.folder / 'capture.html'}")
 
     def _light(self):
-        from torchmat.capture.photometry import PhotometryOptions
+        from torchmat.capturing.photometry import PhotometryOptions
 
         options = PhotometryOptions(
             self.lights, self.flash_offset, self.positions, self.distance, grey=self.grey, flat=self.flat, even=self.even, chart=self.chart,
