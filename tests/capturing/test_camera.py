@@ -14,7 +14,7 @@ from tests.capturing.simulated import Studio, matte_grey
 from torchmat.capturing.board import Board
 from torchmat.capturing.camera import calibrate, check_one_camera
 from torchmat.capturing.detect import Detection
-from torchmat.capturing.pose import printed, seen, solve_pose
+from torchmat.capturing.pose import printed, seen, solve_pose, stations
 from torchmat.capturing.view import Camera, Pose
 from torchmat.errors import DataError, FitError, RangeError
 
@@ -113,3 +113,14 @@ def test_the_scale_bar_is_never_passed_over_in_silence():
     assert board.scale == pytest.approx(0.94) and "6.0% smaller" in said
     with pytest.raises(RangeError, match="in millimetres"):
         printed(Board(), 15.0)
+
+
+def test_a_camera_on_a_stand_is_one_view_and_moved_ones_are_their_own():
+    rng = np.random.default_rng(0)
+    stood, moved = np.array([30.0, -200.0, 350.0]), np.array([[0.0, 0.0, 400.0], [5.0, 0.0, 400.0], [-250.0, 40.0, 310.0]])
+    jittered = stood + rng.normal(scale=0.1, size=(12, 3))
+    found = stations(np.concatenate((jittered[:5], moved, jittered[5:])))
+    shared = np.delete(found, [5, 6, 7], axis=0)
+    assert (shared == shared[0]).all() and np.allclose(shared[0], jittered.mean(axis=0))
+    assert (found[5:8] == moved).all() and len(np.unique(found, axis=0)) == 4
+    assert (stations(moved[:1]) == moved[:1]).all()

@@ -17,7 +17,7 @@ from torchmat.capturing.page import capture_page
 from torchmat.capturing.photographs import turned_alike
 from torchmat.capturing.photometry import PhotometryOptions, photometry
 from torchmat.capturing.pictures import contact_sheet, marked, thumb
-from torchmat.capturing.pose import printed
+from torchmat.capturing.pose import printed, stations
 from torchmat.capturing.rectify import FILTER, Grid, Rectified, choose_grid
 from torchmat.capturing.register import Registered, register
 from torchmat.capturing.scene import Photometry, Scene, Step
@@ -160,7 +160,7 @@ def _written(
 
     near = light.position is not None
     lights = light.light if light.position is None else light.position
-    views = np.array([pose.position for pose in scene.poses])
+    views = stations(np.array([pose.position for pose in scene.poses]))
     manifest = manifest_text(names, grid, views, np.where(np.isfinite(lights), lights, _FAR * light.light), near)
 
     def record() -> dict[str, Any]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from scipy.cluster.hierarchy import fcluster, linkage
 
 from torchmat.capturing.board import Board
 from torchmat.capturing.detect import Detection
@@ -12,6 +13,7 @@ from torchmat.capturing.extra import opencv
 from torchmat.capturing.view import Camera, Pose
 from torchmat.errors import RangeError, message
 
+_STATION = 0.003  # of its distance, 0.17 degrees: nobody who means another view moves less, and corners do not tell a pose better by far
 _OFF, _FAR_OFF = 0.02, 0.25  # of the nominal length: what is said, and what is more likely a mistake in measuring
 
 
@@ -49,6 +51,18 @@ def solve_pose(corners: Seen, camera: Camera) -> Pose:
         poses.append(Pose(cv2.Rodrigues(turn)[0], shift.reshape(3)))
     above = [pose for pose in poses if pose.position[2] > 0] or poses
     return min(above, key=lambda pose: float((corners.errors(camera, pose) ** 2).sum()))
+
+
+def stations(positions: np.ndarray) -> np.ndarray:
+    """Return positions [n, 3] of cameras in mm, those of a camera that stood still as one, their mean.
+
+    On a stand each pose comes out a little different by its corners' noise; taken as they are, they would be as many views.
+    """
+    if len(positions) < 2:
+        return positions
+    limit = _STATION * float(np.median(np.linalg.norm(positions, axis=1)))
+    station = fcluster(linkage(positions, "complete"), limit, "distance")
+    return np.stack([positions[station == one].mean(axis=0) for one in station])
 
 
 def printed(board: Board, measured: float | None) -> tuple[Board, str]:
