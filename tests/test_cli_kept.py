@@ -254,3 +254,13 @@ def test_the_digest_of_data_is_of_every_image(small_btf, data):
         assert Btf.from_tensors(other, light, view).digest() != first
     assert load_btf(data).digest() == load_btf(data).digest() == load_btf(data, cache=False).digest()
     assert torch.equal(small_btf.light, light)
+
+
+def test_a_studio_knows_the_form_of_what_was_fitted(data, tmp_path):
+    from torchmat.studio.known import first_of
+
+    fit = ["fit", "ptm", str(data), "--no-pictures", "--measure", "none"]
+    assert main([*fit, "--no-cache", "--out", str(tmp_path / "a")]) == 0
+    assert first_of(tmp_path / "a") is None
+    assert main([*fit, "--out", str(tmp_path / "b")]) == 0
+    assert first_of(tmp_path / "b") is not None and first_of(tmp_path / "a") is not None

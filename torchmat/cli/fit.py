@@ -110,6 +110,7 @@ class Fit:
         from torchmat.report.describe_mesh import mesh_line
         from torchmat.report.decisions_page import decided_text, outcome_text
         from torchmat.report.tables import fit_tables, stopped_text
+        from torchmat.studio.known import remember
 
         run = self._run()
         out = self.out or (Path("out") if run is None else run.folder)
@@ -129,6 +130,8 @@ class Fit:
         result = replace(result, report={**result.report, "run": run_of(config, data, names, btf, self.command)})
         out = still_free(out, self.force)
         folder = write_fit(btf, result, out, pictures=not self.no_pictures, force=self.force)
+        if not self.read.no_cache:
+            remember(folder)
         choice = result.report["figures"].get("auto")
         if choice:
             print(outcome_text(choice).upper() if result.stop_reason == NOT_MET else outcome_text(choice))

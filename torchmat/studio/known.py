@@ -16,13 +16,14 @@ from typing import Any
 
 import numpy as np
 
-from torchmat.errors import DataError
+from torchmat.errors import DataError, TorchmatError
 from torchmat.images import read_image
 from torchmat.studio.place import cache_folder, check_links, write_own
 from torchmat.studio.textures import manifest_in, textures_of
 from torchmat.web.codes import TYPES, stacked_bytes
 
 _FORMAT, _MOST = 1, 100  # forms that are kept
+_LARGEST = 1 << 20  # texels of a material that is read again for its form
 _VALUES = ("provenance", "digests", "edited", "edits", "written_by", "height", "width", "bytes_per_texel", "shared_bytes", "constants")
 _OF_TEXTURES = ("map", "channels", "type", "transfer", "per_texel", "filter", "meaning")
 
@@ -50,6 +51,21 @@ def keep_form(folder: Path, description: Mapping[str, Any]) -> None:
     oldest = sorted((one.stat().st_mtime, one) for one in path.parent.iterdir())
     for _, one in oldest[:-_MOST]:
         one.unlink(missing_ok=True)
+
+
+def remember(folder: Path) -> None:
+    """Keep the form of a material that was just written, torch being at hand: a studio then need not wait for torch to show it.
+
+    A large material is left alone, for its codes would be read again; so is a cache that cannot be written.
+    """
+    from torchmat.studio.session import Session
+
+    try:
+        manifest = manifest_in(folder)
+        if manifest["height"] * manifest["width"] <= _LARGEST and not _form(manifest).exists():
+            keep_form(folder, Session(str(folder)).load()["description"])
+    except (OSError, TorchmatError):
+        return
 
 
 def first_of(folder: Path) -> tuple[dict[str, Any], dict[str, bytes]] | None:
