@@ -3,6 +3,8 @@
 import { element, whenSeen } from "./dom.js";
 import { thumbnail } from "./thumbnails.js";
 
+const UNSEEN = 2000; // ms without a large picture: it is out of sight
+
 const number = (value) => String(Number(value.toPrecision(3)));
 
 function extent(entry) {
@@ -40,11 +42,19 @@ export function mapsPanel(viewer) {
     changed.forEach(paint);
     changed.clear();
   });
+  let waits = false; // for the large picture, which one looks at first
+  const afterPicture = () => {
+    if (!waits) return;
+    waits = false;
+    repaint();
+  };
   viewer.on("maps", (name) => {
     if (!name || !pictures.has(name)) return fill();
     changed.add(name);
-    return repaint();
+    waits = true;
+    return setTimeout(afterPicture, UNSEEN);
   });
+  viewer.on("frame", afterPicture);
   fill();
   return list;
 }
