@@ -107,19 +107,17 @@ def _upside_down(picture, random):
 
 def _other_family(picture, random):
     """A usual ChArUco board of 4 x 4 bits, as OpenCV draws it."""
-    aruco = opencv().aruco
-    board = aruco.CharucoBoard((9, 6), 1.0, 0.75, aruco.getPredefinedDictionary(aruco.DICT_4X4_250))
-    height, width = picture.shape[:2]
-    drawn = board.generateImage((int(width * 0.9), int(height * 0.9)), marginSize=10) / 255.0
-    placed = np.full((height, width), 0.12)
-    placed[: drawn.shape[0], : drawn.shape[1]] = 0.05 + 0.8 * drawn
-    return gaussian_filter(placed, 0.6)[..., None].repeat(3, -1)
+    return _board_of_opencv(picture, opencv().aruco.DICT_4X4_250)
 
 
 def _elsewhere(picture, random):
     """Markers that are called like ours, in other places: OpenCV's own board of the same family."""
+    return _board_of_opencv(picture, opencv().aruco.DICT_5X5_1000)
+
+
+def _board_of_opencv(picture, family):
     aruco = opencv().aruco
-    board = aruco.CharucoBoard((9, 6), 1.0, 0.75, aruco.getPredefinedDictionary(aruco.DICT_5X5_1000))
+    board = aruco.CharucoBoard((9, 6), 1.0, 0.75, aruco.getPredefinedDictionary(family))
     height, width = picture.shape[:2]
     drawn = board.generateImage((int(width * 0.9), int(height * 0.9)), marginSize=10) / 255.0
     placed = np.full((height, width), 0.12)

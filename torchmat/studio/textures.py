@@ -12,8 +12,13 @@ from torchmat.studio.place import MANIFEST
 
 def manifest_in(folder: Path) -> dict[str, Any]:
     """Return the manifest of a folder; an empty one where it is damaged or being written."""
+    return table_in(folder / MANIFEST)
+
+
+def table_in(path: Path) -> dict[str, Any]:
+    """Return the table in a JSON file; an empty one where there is none, or no whole one."""
     try:
-        found = json.loads((folder / MANIFEST).read_text(encoding="utf-8"))
+        found = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError):
         return {}
     return found if isinstance(found, dict) else {}
