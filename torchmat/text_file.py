@@ -62,7 +62,11 @@ def read_toml(path: str | Path, what: str) -> dict[str, Any]:
 
 def read_json(path: str | Path, what: str, requirement: str) -> dict[str, Any]:
     """Return the table that a JSON file holds; raises DataError ("`what` must `requirement`"), which names the file."""
-    text = read_text(path, what)
+    return parse_json(str(path), read_text(path, what), what, requirement)
+
+
+def parse_json(where: str, text: str, what: str, requirement: str) -> dict[str, Any]:
+    """Return the table that a JSON `text` holds; raises DataError ("`what` must `requirement`"), which begins with `where`."""
     try:
         found = json.loads(text)
     except (ValueError, RecursionError) as error:  # RecursionError: thousands of brackets, one in the other
@@ -71,4 +75,4 @@ def read_json(path: str | Path, what: str, requirement: str) -> dict[str, Any]:
         if isinstance(found, dict):
             return found
         fact = f"it holds a {type(found).__name__}"
-    raise DataError(message(str(path), what, requirement, fact, "Restore the file from the original."))
+    raise DataError(message(where, what, requirement, fact, "Restore the file from the original."))

@@ -14,7 +14,6 @@ from torchmat import DataError, load_btf
         ("coin.ptm", r"a fitted Polynomial Texture Map \(PTM\), not the photographs", "Give the photographs that it was made of, with their .lp"),
         ("coin.rti", "a fitted RTI file", "torchmat fit ptm --data PHOTOGRAPHS"),
         ("coin.relight", "a project of RelightLab", "Export the light positions from it as an .lp file"),
-        ("our.dome", "a dome description of RelightLab", "as an .lp file"),
         ("IMG_0001.CR2", "a raw camera file", "Develop it, linearly if you can, into a 16-bit TIFF or EXR"),
         ("a.NEF", "a raw camera file", "--encoding linear"),
         ("a.dng", "a raw camera file", "dcraw"),
@@ -39,8 +38,8 @@ def test_pictures_beside_raw_files_are_the_photographs(tmp_path):
         (tmp_path / "d" / f"{number}.CR2").write_bytes(b"x")
     with pytest.raises(DataError, match="there are 6 files, 3 of them images. Add a manifest.csv .* give their lights: --lights TABLE, or --ball"):
         load_btf(tmp_path / "d")
-    (tmp_path / "d" / "c.dome").write_bytes(b"x")
-    with pytest.raises(DataError, match="there are 3 images, and c.dome is a dome description"):
+    (tmp_path / "d" / "c.relight").write_bytes(b"x")
+    with pytest.raises(DataError, match="there are 3 images, and c.relight is a project of RelightLab"):
         load_btf(tmp_path / "d")
 
 

@@ -169,6 +169,8 @@ def test_the_command_captures_and_says_what_each_step_found(photographs, shots, 
 
 
 def test_the_command_names_what_is_wrong_before_the_work(photographs, tmp_path, capsys):
-    for wrong, said in ((["--size", "A9"], "A9"), (["--measured", "0"], "--measured"), (["--lights", "sun"], "spheres"), (["--spheres", "3"], "spheres")):
+    corners = ["--chart-corners", *map(str, range(8))]
+    wrongs = [(["--size", "A9"], "A9"), (["--measured", "0"], "--measured"), (["--lights", "sun"], "spheres"), (["--spheres", "3"], "spheres"), (corners, "--chart FILE")]
+    for wrong, said in wrongs:
         assert torchmat.cli.main(["capture", str(photographs), "--out", str(tmp_path / "btf"), *wrong]) == 2
         assert said in capsys.readouterr().err and not (tmp_path / "btf").exists()

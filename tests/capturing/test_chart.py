@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 import torch
+import tyro
 
-from torchmat.capturing.chart import _LAB, NAMES, Patches, find_chart, fit_colour, read_chart, reference_colours
+from torchmat.capturing.chart import _LAB, NAMES, Patches, colour_of_chart, find_chart, fit_colour, read_chart, reference_colours
+from torchmat.cli.capture import Capture
 from torchmat.errors import DataError, ShapeError
+from torchmat.images import write_image
 
 # A camera that mixes channels; its rows, as those of a camera after white balance, sum to 1.
 MIX = np.array([[0.80, 0.15, 0.05], [0.10, 0.75, 0.15], [0.02, 0.20, 0.78]])
@@ -89,6 +94,22 @@ def test_patches_are_read_in_perspective_by_four_corners():
         read_chart(linear, linear.amax(0) > 2, np.ones((4, 2)) * 5)
     with pytest.raises(ShapeError, match="be four points"):
         read_chart(linear, linear.amax(0) > 2, CORNERS[:3])
+
+
+def test_a_file_and_its_corners_as_the_command_has_them(tmp_path):
+    def of(options):
+        return colour_of_chart(options.chart, options.chart_corners, options.encoding)
+
+    linear = painted(np.clip(reference_colours(), 0, 1) * 0.8, CORNERS)
+    write_image(tmp_path / "chart.tif", np.ascontiguousarray((linear.permute(1, 2, 0).clamp(0, 1) * 65535).round().numpy().astype(np.uint16)))
+    read = tyro.cli(Capture, args=["x", "--chart", str(tmp_path / "chart.tif"), "--encoding", "linear", "--chart-corners", *map(str, CORNERS.ravel())])
+    assert of(read.light()).mean < 0.5
+    turned = dataclasses.replace(read.light(), chart_corners=CORNERS[[2, 3, 0, 1]])
+    with pytest.raises(DataError, match=r"chart.tif: .*the chart's corners must start at dark skin.*turned by 180 degrees"):
+        of(turned)
+    write_image(tmp_path / "chart.tif", np.full((60, 80, 3), 20000, np.uint16))
+    with pytest.raises(DataError, match=r"chart.tif: .*the chart must be found.*--chart-corners"):
+        of(dataclasses.replace(read.light(), chart_corners=None))
 
 
 def test_a_photograph_without_a_chart_is_named():

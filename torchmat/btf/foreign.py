@@ -25,7 +25,6 @@ FORMATS: dict[str, tuple[str, str]] = {
     ".rti": ("a fitted RTI file (harmonics or PTM), not the photographs", _FITTED),
     ".hsh": ("a fitted RTI file (hemispherical harmonics), not the photographs", _FITTED),
     ".relight": ("a project of RelightLab, not the photographs", _LIGHTS),
-    ".dome": ("a dome description of RelightLab, not the photographs", _LIGHTS),
     ".btf": ("a BTF in one file", _ONE_FILE + "not as Bonn's UBO2014 do. " + _ELSEWHERE),
     **dict.fromkeys((".h5", ".hdf5"), ("an HDF5 container", _ONE_FILE + "not as HDF5 does. " + _ELSEWHERE)),
     ".mat": ("a MATLAB file", "Save its lights as text, x y z a line, and its images as PNG or EXR."),

@@ -41,7 +41,9 @@ class Row:
 @dataclass(frozen=True)
 class LightTable:
     """The lights of a table, in its order: `names` [n] (None: the photographs' own order), the `where` [n] of each line,
-    `light` [n, 3] float64 as it is written, `intensity` [n, 3] or None, and `notes` on what was taken for what."""
+    `light` [n, 3] float64 as it is written, `intensity` [n, 3] or None, and `notes` on what was taken for what.
+
+    `near` says that the lights are positions, and `width` how wide the picture is in their unit, where a file tells it: a dome does."""
 
     path: str
     names: tuple[str, ...] | None
@@ -49,6 +51,8 @@ class LightTable:
     light: Tensor
     intensity: Tensor | None = None
     notes: tuple[str, ...] = ()
+    near: bool = False
+    width: float | None = None
 
 
 def _number(token: str) -> float:

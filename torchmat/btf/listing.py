@@ -27,6 +27,8 @@ class Listing:
 
     Near lights and cameras have positions [n, 3], float64, in widths of the whole picture from its centre; `light` or `view`
     then follow from them. `falloff` says whether the images show how light falls off with distance.
+
+    Where only `near` says that `light` are positions, they are in a unit in which the picture is `width` wide, if that is known.
     """
 
     kind: str
@@ -39,6 +41,8 @@ class Listing:
     light_position: Tensor | None = None
     view_position: Tensor | None = None
     falloff: bool = True
+    near: bool = False
+    width: float | None = None
 
 
 def natural(name: str) -> tuple[tuple[int, int, str], ...]:

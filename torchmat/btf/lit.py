@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import torch
 
+from torchmat.btf.dome import is_dome, parse_dome
 from torchmat.btf.light_table import LightTable, parse_lights
 from torchmat.btf.listing import FileNames, Listing, is_image, is_mask, natural, read_text
 from torchmat.btf.source import Folder, Zip
@@ -49,6 +50,8 @@ def in_order(source: Folder | Zip, folder: str | None = None) -> tuple[list[str]
 
 def parse_table(source: Folder | Zip, where: str, text: str, beside: str, folder: str | None = None) -> LightTable:
     """Return the lights of a table that is about the photographs of `source`; `beside` is its own name there, or empty."""
+    if is_dome(where):
+        return parse_dome(where, text)
     known = FileNames(source, beside)
     try:
         images = len(in_order(source, folder)[0])
@@ -97,7 +100,8 @@ def _unlisted(source: Folder | Zip, files: Sequence[str]) -> tuple[str, ...]:
 
 def _listing(files: Sequence[str], table: LightTable, notes: tuple[str, ...], faults: tuple[str, ...] = ()) -> Listing:
     view = torch.tensor([[0.0, 0.0, 1.0]], dtype=torch.float64).repeat(len(files), 1)
-    return Listing(KIND, tuple(files), table.light, view, table.intensity, (*table.notes, *notes), faults)
+    notes = (*table.notes, *notes)
+    return Listing(KIND, tuple(files), table.light, view, table.intensity, notes, faults, near=table.near, width=table.width)
 
 
 def paired_lights(btf: Btf) -> dict[str, list[float]]:

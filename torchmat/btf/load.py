@@ -68,7 +68,7 @@ def load_btf(
 
     Args:
         path: a folder, a zip, or a file that a registered reader takes; the ``manifest.csv`` or ``light_directions.txt`` itself
-            means its folder, an ``.lp`` file this one table, with photographs in its folder or else in the one above.
+            means its folder, an ``.lp`` or ``.dome`` file this one table, with photographs in its folder or else in the one above.
         kind: "ubo2003", "utia", "manifest", "rti", "stereo", "brdf", "ubo2014", "neuralbtf" or the name of another reader
             (`register_reader`); None finds it from the content.
         encoding: "srgb", "linear" or "xyz"; "auto" reads integer files as sRGB, floating-point files as linear, and EXR
@@ -81,7 +81,7 @@ def load_btf(
         duplicates: what to do with repeated directions: "error" or "keep".
         normalise: whether directions that are not unit are made so; else they are an error, unless rounding explains it.
         light_table: file of the lights of photographs under one view (`parse_lights` says in what forms), which then need no
-            table of their own; without names in it, photographs count in natural order (img2 before img10), or in that of a
+            table of their own, or a dome of RelightLab (``.dome``, `parse_dome`); without names in it, photographs count in natural order (img2 before img10), or in that of a
             ``filenames.txt`` beside them. Its vectors may have any length.
         ball: folder of photographs of a chrome ball under the same lights, called alike or in the same order.
         circle: the ball's centre (column, row) and radius in pixels.
@@ -91,7 +91,7 @@ def load_btf(
             not there; else they are an error. How many is in ``btf.source.notes``.
         near: width of the pictured sample, in the unit of the vectors that the table of lights holds: they are then positions of
             near lights from the sample's centre (of the whole picture, whatever the crop), and each texel has a direction of
-            its own. None takes lights for far, unless a manifest says otherwise (`sample_width`).
+            its own. None takes lights for far, unless a manifest (`sample_width`) or a dome (`imageWidth`) says otherwise.
         distance: how far all lights are from the sample's centre, in the unit of `near`, where a table holds directions: the
             radius of a dome.
         falloff: whether the images darken with the distance to near lights, which is taken out; False of images that were
@@ -170,7 +170,7 @@ def _lighting(
             path, kind = path.parent, kind or "manifest"
         elif path.name.lower() == DIRECTIONS:
             path, kind = path.parent, kind or "stereo"
-        elif path.suffix.lower() == ".lp":
+        elif path.suffix.lower() in (".lp", ".dome"):
             home = home_of(path)
             if light_table is None and ball is None:
                 return home, None, by_table(path, home)

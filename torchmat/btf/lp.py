@@ -1,4 +1,4 @@
-"""RTI captures: an ``.lp`` file lists photographs with the directions of their lights."""
+"""RTI captures: an ``.lp`` file lists photographs with the directions of their lights, or a ``.dome`` has the lights of all in their order."""
 
 from __future__ import annotations
 
@@ -13,14 +13,18 @@ def _is_lp(name: str) -> bool:
     return name.lower().endswith(".lp")
 
 
+def _is_dome(name: str) -> bool:
+    return name.lower().endswith(".dome")
+
+
 def read_lp(source: Folder | Zip) -> Listing:
-    """Parse the one ``.lp`` file of a source, in any form that `parse_lights` takes; the camera looks along the normal."""
-    name = the_one(source, _is_lp, "an .lp file")
+    """Parse the one ``.lp`` file of a source, in any form that `parse_lights` takes, or else its one ``.dome``; the camera looks along the normal."""
+    name = the_one(source, _is_lp, "an .lp file") if any(map(_is_lp, source.names)) else the_one(source, _is_dome, "an .lp or .dome file")
     table = parse_table(source, f"{source.path}: {name}", read_text(source, name), name)
     return paired(source, table, name)
 
 
 RTI = Reader(
-    KIND, "RTI: an `.lp` file with a light for each photograph", lambda source: any(map(_is_lp, source.names)), read_lp,
-    images_of_files, version=0,
+    KIND, "RTI: an `.lp` or `.dome` file with a light for each photograph",
+    lambda source: any(_is_lp(name) or _is_dome(name) for name in source.names), read_lp, images_of_files, version=0,
 )

@@ -69,7 +69,7 @@ def open_source(path: str | Path, kind: str | None = None) -> File | Folder | Zi
             return file
     if path.suffix.lower() == ".zip" or zipfile.is_zipfile(path):
         return Zip(path)
-    if path.suffix.lower() in (".csv", ".lp"):
+    if path.suffix.lower() in (".csv", ".lp", ".dome"):
         step = f"Give its folder instead: {path.parent}."
         raise DataError(message(str(path), "the path", "be a folder or a zip", "it is a file", step))
     foreign = told(path.name)

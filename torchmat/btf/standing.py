@@ -39,13 +39,18 @@ class Standing:
             raise RangeError(message("load_btf", "distance", "come with the sample's width", "near is not given", step))
 
     def of(self, path: str, listing: Listing) -> Listing:
-        """Return a listing with the positions of its lights, where they are said to be near.
+        """Return a listing with the positions of its lights, where they are said to be near, by the caller or else by a dome.
 
-        Raises DataError where the table says where they stand itself, or holds directions alone.
+        Raises DataError where the table says where they stand itself, holds directions alone, or holds positions and nothing
+        says how wide the picture is.
         """
         listing = listing if self.falloff is None else replace(listing, falloff=self.falloff)
-        if self.width is None:
+        width, said = (listing.width, ", as the dome says") if self.width is None else (self.width, "")
+        if width is None and not listing.near:
             return listing
+        if width is None:
+            step = "Give the sample's width in the unit of the positions, near=WIDTH (--near WIDTH), or imageWidth in the file."
+            raise DataError(message(path, "positions of near lights", "come with the width of the picture", "nothing says it", step))
         if listing.light_position is not None:
             step = "Leave near=WIDTH (--near) out."
             raise DataError(message(path, "where near lights stand", "be said once", "the table has a sample_width", step))
@@ -56,8 +61,8 @@ class Standing:
             fact = "all vectors have length 1: they are directions"
             step = "Give the distance of the lights in the unit of the sample's width: distance=D (--distance D)."
             raise DataError(message(path, "the lights", "be positions with near=WIDTH (--near)", fact, step))
-        note = f"lights are near: positions over a sample {self.width:g} wide"
-        return replace(listing, light_position=light / self.width, notes=(*listing.notes, note))
+        note = f"lights are near: positions over a sample {width:g} wide{said}"
+        return replace(listing, light_position=light / width, notes=(*listing.notes, note))
 
 
 def near_of(listing: Listing, picture: Sequence[int], crop: Sequence[int] | None, downscale: int) -> Near | None:

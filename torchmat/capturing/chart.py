@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from torchmat.capturing.develop import develop
 from torchmat.capturing.extra import opencv
 from torchmat.colour import ciede2000, linear_to_srgb, srgb_to_lab
 from torchmat.errors import DataError, ShapeError, message
@@ -36,6 +39,7 @@ _SAMPLES = 9
 _MOST_CLIPPED = 2
 _WORST = 6.0  # mean CIEDE2000 after the fit: a camera's own matrix leaves 1 to 3
 _UNEVEN = 0.15  # relative spread within a patch
+_GIVE = "Give the middles of its corner patches: --chart-corners (chart_corners=...)."
 _STEP = "Give the corners again: the middles of dark skin, bluish green, black and white, in this order, as (column, row)."
 
 
@@ -68,6 +72,19 @@ def reference_colours() -> np.ndarray:
     return xyz @ _TO_RGB.T
 
 
+def colour_of_chart(path: str | Path, corners: Sequence[Sequence[float]] | None = None, encoding: str = "auto") -> Colour:
+    """Return the matrix that a photograph of a chart tells; `corners` as `read_chart` has them, None searches them.
+
+    Raises DataError or ShapeError, which names the file, where that cannot be.
+    """
+    developed = develop(path, encoding)
+    try:
+        places = find_chart(developed.linear) if corners is None else np.asarray(corners, float)
+        return fit_colour(read_chart(developed.linear, developed.clipped, places))
+    except (DataError, ShapeError) as error:
+        raise type(error)(f"{path}: {error}") from error
+
+
 def find_chart(linear: Tensor) -> np.ndarray:
     """Return the middles [4, 2] (column, row) of the corner patches of a chart in a photograph [3, H, W], found by OpenCV.
 
@@ -75,7 +92,7 @@ def find_chart(linear: Tensor) -> np.ndarray:
     """
     cv2 = opencv()
     if not hasattr(cv2, "mcc"):
-        fact, step = f"OpenCV {cv2.__version__} has no search for charts", "Give its four corners."
+        fact, step = f"OpenCV {cv2.__version__} has no search for charts", _GIVE
         raise DataError(message("capture", "the chart", "be found", fact, step))
     codes = (linear_to_srgb(linear.clamp(0, 1)) * 255).round().to(torch.uint8).permute(1, 2, 0).numpy()
     picture = np.ascontiguousarray(codes[..., ::-1])
@@ -87,7 +104,7 @@ def find_chart(linear: Tensor) -> np.ndarray:
         found = detector.process(picture, cv2.mcc.MCC24, 1)
     checkers = detector.getListColorChecker() if found else []
     if not len(checkers):
-        raise DataError(message("capture", "the chart", "be found in its photograph", "no ColorChecker Classic is seen", "Give its four corners."))
+        raise DataError(message("capture", "the chart", "be found in its photograph", "no ColorChecker Classic is seen", _GIVE))
     middles = np.asarray(checkers[0].getColorCharts(), dtype=float).reshape(24, 4, 2).mean(1)
     return middles[[0, 5, 23, 18]]
 

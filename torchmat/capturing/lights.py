@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
+from torchmat.btf.dome import is_dome, parse_dome
 from torchmat.btf.light_table import read_light_table
 from torchmat.capturing.light import Light
 from torchmat.capturing.view import Pose
 from torchmat.errors import DataError, RangeError, check_positive, message
-from torchmat.text_file import read_json
+from torchmat.text_file import read_text
 
 _GIVEN = 1.0  # degrees, of a table whose maker says nothing of its errors
 _FLASH = 5.0  # mm, of an offset that was read off a phone
@@ -53,13 +53,9 @@ def lights_of_table(path: str | Path, names: Sequence[str], *, positions: bool =
     where = str(path)
     if distance is not None:
         check_positive(where, "distance", distance, "It is that of the lamps from the window's middle, in mm.")
-    if Path(path).suffix.lower() in (".dome", ".json"):
-        vectors, near, lines = _dome(path)
-        order = _in_order(where, len(vectors), names)
-    else:
-        table = read_light_table(path, images=len(names))
-        vectors, near, lines = table.light.numpy(), positions, list(table.where)
-        order = _in_order(where, len(vectors), names) if table.names is None else _by_name(where, table.names, names)
+    table = parse_dome(where, read_text(path, "the lights")) if is_dome(str(path)) else read_light_table(path, images=len(names))
+    vectors, near, lines = table.light.numpy(), positions or table.near, table.where
+    order = _in_order(where, len(vectors), names) if table.names is None else _by_name(where, table.names, names)
     found = []
     for number in order:
         vector = vectors[number]
@@ -99,39 +95,3 @@ def _by_name(where: str, listed: Sequence[str], names: Sequence[str]) -> list[in
         fact = f"{len(missing)} of {len(names)} have none, the first is {missing[0]!r}"
         raise DataError(message(where, "the table", "have a light for each photograph", fact, "Add the lines, or take the photographs out."))
     return [places[key(name)] for name in names]
-
-
-def _dome(path: str | Path) -> tuple[np.ndarray, bool, list[str]]:
-    """Return x, y, z [n, 3], whether they are positions, and what lines are called, of a dome as relight writes it.
-
-    ``lightConfiguration`` "directional" uses ``directions``; "spherical" and "lights3d" use ``positionsSphere`` or
-    ``positions3d`` (``positions`` of earlier releases), or ``directions`` on a sphere of ``domeDiameter`` that is raised by
-    ``verticalOffset``. Lengths are millimetres, from the middle of the sample.
-    """
-    where = str(path)
-    dome = read_json(path, "the dome", "be a JSON table, as relight writes it")
-    kind = dome.get("lightConfiguration", "directional")
-    for key in {"spherical": ("positionsSphere", "positions"), "lights3d": ("positions3d", "positions")}.get(kind, ()):
-        if dome.get(key):
-            return _vectors(where, key, dome[key]), True, [f"{where}: {key}[{number}]" for number in range(len(dome[key]))]
-    if not dome.get("directions"):
-        fact = f"it has {', '.join(sorted(dome)) or 'nothing'}"
-        raise DataError(message(where, "the dome", "hold directions or positions", fact, "Export it again, with its lights."))
-    vectors = _vectors(where, "directions", dome["directions"])
-    lines = [f"{where}: directions[{number}]" for number in range(len(vectors))]
-    diameter = dome.get("domeDiameter") or 0
-    if kind == "directional" or not isinstance(diameter, (int, float)) or diameter <= 0:
-        return vectors, False, lines
-    offset = dome.get("verticalOffset") or 0.0
-    return vectors * (float(diameter) / 2) + np.array([0, 0, float(offset)]), True, lines
-
-
-def _vectors(where: str, key: str, entries: Any) -> np.ndarray:
-    try:
-        rows = [[one["x"], one["y"], one["z"]] if isinstance(one, dict) else list(one) for one in entries]
-        found = np.array(rows, dtype=np.float64)
-    except (TypeError, KeyError, ValueError) as error:
-        raise DataError(message(where, key, "be a list of x, y, z", f"{type(error).__name__}: {error}", "Export the dome again.")) from error
-    if found.ndim != 2 or found.shape[1] != 3 or not np.isfinite(found).all() or not (np.linalg.norm(found, axis=1) > 0).all():
-        raise DataError(message(where, key, "be finite vectors x, y, z", f"its shape is {found.shape}", "Export the dome again."))
-    return found

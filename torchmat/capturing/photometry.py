@@ -11,8 +11,7 @@ import torch
 from torch import Tensor
 
 from torchmat.capturing.board import WHITE
-from torchmat.capturing.chart import Colour, find_chart, fit_colour, read_chart
-from torchmat.capturing.develop import develop
+from torchmat.capturing.chart import Colour, colour_of_chart
 from torchmat.capturing.evenness import Course, Vignetting, fit_courses, flat_field, vignetting_terms
 from torchmat.capturing.light import Light, blocked
 from torchmat.capturing.lights import flash, lights_of_table
@@ -23,7 +22,7 @@ from torchmat.capturing.shading import lamps_of_shading
 from torchmat.capturing.sphere_lights import SphereLights, lights_of_spheres
 from torchmat.capturing.told import colour_step, lights_step, vignetting_step, white_step
 from torchmat.capturing.white import White, calibrate_white
-from torchmat.errors import DataError, FitError, check_option, message
+from torchmat.errors import FitError, check_option, message
 
 LIGHTS = ("auto", "spheres", "flash", "shading")
 _LEAST_PAPER = 30  # points of white paper in a photograph
@@ -130,7 +129,7 @@ def photometry(scene: Scene, options: PhotometryOptions | None = None, show: boo
         check_option("capture", "lights", options.lights, LIGHTS)
     places = places_of(scene)
     known = None if options.flat is None else _flat(options)
-    colour = None if options.chart is None else _chart(options)
+    colour = None if options.chart is None else colour_of_chart(options.chart, options.chart_corners, options.encoding)
     observed = observe(scene, places, show)
     kind = options.lights if options.lights != "auto" else ("spheres" if scene.board.spheres else "shading")
     found = lights_of_spheres(scene, observed) if kind == "spheres" else None
@@ -158,16 +157,6 @@ def _flat(options: PhotometryOptions) -> Vignetting:
     assert options.flat is not None
     developed = photograph(options.flat, options.encoding).developed()
     return flat_field(developed.linear, developed.clipped)
-
-
-def _chart(options: PhotometryOptions) -> Colour:
-    assert options.chart is not None
-    developed = develop(options.chart, options.encoding)
-    corners = find_chart(developed.linear) if options.chart_corners is None else np.asarray(options.chart_corners, float)
-    try:
-        return fit_colour(read_chart(developed.linear, developed.clipped, corners))
-    except DataError as error:
-        raise DataError(f"{options.chart}: {error}") from error
 
 
 def _other_lights(

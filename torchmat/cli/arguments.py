@@ -45,7 +45,7 @@ class DataArguments:
     """Bring directions that are not unit vectors to length 1."""
     lights: Path | None = None
     """Table with the lights of photographs under one view: an .lp file, CSV, or x y z of one light a line (or a column) in
-    the natural order of the photographs (img2 before img10), or that of a filenames.txt beside them."""
+    the natural order of the photographs (img2 before img10), or that of a filenames.txt beside them; or a RelightLab .dome."""
     ball: Path | None = None
     """Folder of photographs of a chrome ball under the same lights, called alike or in the same order."""
     circle: tuple[float, float, float] | None = None
@@ -60,7 +60,7 @@ class DataArguments:
     """Leave out lights below the surface and lines whose photograph is not there, instead of refusing all."""
     near: float | None = None
     """Width of the pictured sample in the unit of the table's vectors: they are then positions of near lights from the sample's
-    centre, and each texel has a direction of its own (default: lights are far, unless a manifest has a sample_width)."""
+    centre, and each texel has a direction of its own (default: lights are far, unless a manifest has a sample_width, or a dome positions)."""
     distance: float | None = None
     """How far all lights are from the sample's centre, in the unit of --near, where the table holds directions: a dome's radius."""
     no_falloff: bool = False

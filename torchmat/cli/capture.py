@@ -59,6 +59,8 @@ class Capture:
     """A lamp is not stronger to one side than its distance explains."""
     chart: Path | None = None
     """Photograph of a ColorChecker Classic of 24 patches, under the same light."""
+    chart_corners: tuple[float, float, float, float, float, float, float, float] | None = None
+    """The middles of its dark skin, bluish green, black and white patches in pixels: column and row of each (default: they are searched)."""
     brackets: int | None = None
     """Exposures of each bracket, in the order of the photographs (default: as their files say; 1 merges none)."""
     texel: float | None = None
@@ -72,8 +74,11 @@ class Capture:
 
     def check_names(self) -> None:
         from torchmat.cli.early import check_there
-        from torchmat.errors import check_option
+        from torchmat.errors import RangeError, check_option, message
 
+        if self.chart_corners is not None and self.chart is None:
+            step = "Give the chart's photograph: --chart FILE."
+            raise RangeError(message("capture", "--chart-corners", "come with a chart", "--chart is not given", step))
         if Path(self.lights).suffix:
             check_there(self.lights)
         else:
@@ -86,7 +91,7 @@ class Capture:
 
         board = Board(self.size, self.spheres, self.diameter, self.series)
         captured = capture(
-            self.path, self.out, board, self._light(), measured=self.measured, texel=self.texel, height=self.height,
+            self.path, self.out, board, self.light(), measured=self.measured, texel=self.texel, height=self.height,
             refine=not self.no_register, brackets=self.brackets, encoding=self.encoding, force=self.force,
         )
         print(steps_table(captured.steps))
@@ -96,11 +101,13 @@ class Capture:
         print(f"BTF        {captured.folder}")
         print(f"page       {captured.folder / 'capture.html'}")
 
-    def _light(self):
+    def light(self):
+        """Return where light and colour come from, as the arguments say."""
         from torchmat.capturing.photometry import PhotometryOptions
 
+        corners = None if self.chart_corners is None else [self.chart_corners[at : at + 2] for at in range(0, 8, 2)]
         options = PhotometryOptions(
             self.lights, self.flash_offset, self.positions, self.distance, grey=self.grey, flat=self.flat, even=self.even, chart=self.chart,
-            encoding=self.encoding,
+            chart_corners=corners, encoding=self.encoding,
         )
         return options if self.white is None else dataclasses.replace(options, white=self.white)
