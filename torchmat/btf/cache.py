@@ -27,10 +27,12 @@ import torch
 
 from torchmat import atomic
 from torchmat.btf.listing import Listing
-from torchmat.btf.pixels import Normaliser, PixelOptions, checksum, decode_samples
+from torchmat.btf.pixels import Normaliser, PixelOptions, checksum, decode_samples, images_of_files
+from torchmat.btf.reader import READERS
 from torchmat.btf.readers import open_pixels
 from torchmat.btf.source import File, Folder, Zip
 from torchmat.btf.store import PixelStore
+from torchmat.btf.unfinished import Journal, at_work, bytes_there, is_unfinished, mapped, remove_abandoned, scratch, sweep, unfinished_name
 from torchmat.cache_place import cache_place
 from torchmat.errors import DataError, RangeError, message, notice
 from torchmat.text_file import read_text
@@ -70,16 +72,24 @@ def store_name(path: Path, options: object) -> str:
     return hashlib.sha256(key.encode("utf-8", "surrogateescape")).hexdigest()[:24]
 
 
-def _write(source: File | Folder | Zip, listing: Listing, folder: Path, options: PixelOptions, show: bool | None) -> None:
-    """Decode every sample of `listing` into a store in `folder`."""
+def _write(
+    source: File | Folder | Zip, listing: Listing, folder: Path, options: PixelOptions, show: bool | None, making: Path | None = None
+) -> None:
+    """Decode every sample of `listing` into a store in `folder`; `making` is where codes are written, and go on from what is there."""
     names = [f"{source.path}: {name}" for name in listing.files]
     with open_pixels(source, listing) as images:
         normalise = Normaliser(images, options, names[0])
-        shape = (len(names), *normalise.out_shape)
-        _require_space(folder, math.prod(shape) * normalise.out_dtype.itemsize)
-        pixels = np.memmap(folder / _PIXELS, normalise.out_dtype, "w+", shape=shape)
-        flags = np.memmap(folder / _FLAGS, np.uint8, "w+", shape=(shape[0], *shape[2:]))
-        table = decode_samples(images, names, normalise, pixels, flags, show)
+        shape, dtype = (len(names), *normalise.out_shape), normalise.out_dtype
+        journal = None
+        if making is not None:
+            about = [listing.kind, listing.files, shape, dtype.name, images.shape, images.dtype.name, normalise.xyz]
+            journal = Journal(making, about, _marks_of(source, listing))
+        begun, place = journal is not None and journal.begun, folder if making is None else making
+        there = bytes_there(place / _PIXELS) if begun else 0
+        _require_space(folder, max(0, math.prod(shape) * dtype.itemsize - there))
+        pixels = mapped(place / _PIXELS, dtype, shape, begun)
+        flags = mapped(place / _FLAGS, np.dtype(np.uint8), (shape[0], *shape[2:]), begun)
+        table = decode_samples(images, names, normalise, pixels, flags, show, journal)
     columns: dict[str, Any] = {"light": listing.light.numpy(), "view": listing.view.numpy(), **table}
     if listing.intensity is not None:
         columns["intensity"] = listing.intensity.numpy()
@@ -94,6 +104,16 @@ def _write(source: File | Folder | Zip, listing: Listing, folder: Path, options:
         "picture": images.shape[:2], "falloff": listing.falloff,
     }
     (folder / _HEADER).write_text(json.dumps({**header, "checksum": _checksum_of(header)}))
+    if making is not None:
+        for name in (_PIXELS, _FLAGS):
+            os.replace(making / name, folder / name)
+
+
+def _marks_of(source: File | Folder | Zip, listing: Listing) -> list[str]:
+    """Return what changes with the file of each sample, and with anything where a reader takes a sample from who knows what."""
+    if isinstance(source, File) or READERS[listing.kind].pixels is not images_of_files:
+        return [source.fingerprint] * len(listing.files)
+    return [source.mark(name) for name in listing.files]
 
 
 def _checksum_of(header: dict[str, Any]) -> int:
@@ -178,53 +198,49 @@ def _usable(folder: Path, fingerprint: str) -> OpenStore | None:
 
 
 def _size_on_disk(folder: Path) -> int:
-    size = 0
-    for path in folder.iterdir():
-        found = path.stat()
-        size += 512 * getattr(found, "st_blocks", found.st_size // 512)
-    return size
+    return sum(map(bytes_there, folder.iterdir()))
 
 
 def _prune(root: Path, keep: Path, limit: float) -> None:
-    """Remove the stores used longest ago until the rest is below `limit` bytes. Only what is a store is touched."""
+    """Remove the stores used longest ago until the rest is below `limit` bytes. Only what is a store, or began as one, is touched."""
     stores = []
     for path in root.iterdir():
         with suppress(OSError):  # another process may be pruning too
-            if _STORE_NAME.fullmatch(path.name) and (path / _HEADER).is_file():
+            if is_unfinished(path) or (_STORE_NAME.fullmatch(path.name) and (path / _HEADER).is_file()):
                 stores.append((path.stat().st_mtime_ns, path, _size_on_disk(path)))
     total = sum(size for _, _, size in stores)
     for _, path, size in sorted(stores):
         if total > limit and path != keep:
-            shutil.rmtree(path, ignore_errors=True)
+            remove_abandoned(path) if is_unfinished(path) else shutil.rmtree(path, ignore_errors=True)
             total -= size
 
 
 def _make_uncached(
     source: File | Folder | Zip, listing: Listing, options: PixelOptions, show: bool | None
 ) -> OpenStore | None:
+    place = tempfile.gettempdir()
     try:
-        folder = Path(tempfile.mkdtemp(prefix="torchmat-store-"))
+        with scratch(Path(place), "torchmat-store-") as folder:
+            try:
+                _write(source, listing, folder, options, show)
+                return _open(folder, source.fingerprint)  # the maps stay valid until they are let go
+            except OSError as error:
+                step = "Free some space there or set TMPDIR to another folder."
+                raise DataError(message(str(folder), "the temporary store", "be written whole", str(error), step)) from error
     except OSError as error:
         step = "Set TMPDIR to a folder that can be written to."
-        raise DataError(message(tempfile.gettempdir(), "the folder", "be writable", str(error), step)) from error
-    try:
-        _write(source, listing, folder, options, show)
-        return _open(folder, source.fingerprint)
-    except OSError as error:
-        step = "Free some space there or set TMPDIR to another folder."
-        raise DataError(message(str(folder), "the temporary store", "be written whole", str(error), step)) from error
-    finally:
-        shutil.rmtree(folder, ignore_errors=True)  # the maps stay valid until they are let go
+        raise DataError(message(place, "the folder", "be writable", str(error), step)) from error
 
 
 def _make(
     source: File | Folder | Zip, listing: Listing, target: Path, options: PixelOptions, show: bool | None
 ) -> OpenStore | None:
     """Make the store `target` and open it; return None when something removed it in between."""
-    limit = _limit_bytes()
+    limit, unfinished = _limit_bytes(), unfinished_name(target)
     try:
-        with atomic.building(target, durable=False) as folder:
-            _write(source, listing, folder, options, show)
+        with atomic.building(target, durable=False) as folder, at_work(unfinished) as making:
+            sweep(target.parent, unfinished, limit)
+            _write(source, listing, folder, options, show, making)
     except DataError:
         # Two may make one store at a time; whoever comes second then finds a whole one in its place.
         found = _usable(target, source.fingerprint)

@@ -8,6 +8,7 @@ import zlib
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import torch
@@ -17,6 +18,7 @@ from torchmat.btf.listing import Listing, is_image
 from torchmat.btf.reader import Pixels
 from torchmat.btf.source import File, Folder, Zip
 from torchmat.btf.store import CLIPPED, INVALID, release
+from torchmat.btf.unfinished import Journal, Row, runs_of
 from torchmat.channels import rgb_of_xyz
 from torchmat.errors import DataError, ShapeError, message
 from torchmat.icc import read_profile
@@ -200,16 +202,18 @@ def checksum(codes: np.ndarray, flags: np.ndarray) -> int:
 
 
 def decode_samples(
-    images: Pixels, names: list[str], normalise: Normaliser, pixels: np.ndarray, flags: np.ndarray, show: bool | None
+    images: Pixels, names: list[str], normalise: Normaliser, pixels: np.ndarray, flags: np.ndarray, show: bool | None,
+    journal: Journal | None = None,
 ) -> dict[str, np.ndarray]:
     """Decode all samples in threads into `pixels` [n, 3, H, W] and `flags` [n, H, W]; return the store's other fields.
 
-    `names` [n] is what errors call each sample.
+    `names` [n] is what errors call each sample. What the `journal` says is finished, and is there as it was written, is not
+    decoded again; what becomes finished is written down in it.
     """
     count = len(names)
-    table = {name: np.zeros(count, dtype=np.int64) for name in ("clipped", "invalid")}
-    table |= {name: np.zeros(count, dtype=normalise.out_dtype) for name in ("low", "high")}
-    table["checksum"] = np.zeros(count, dtype=np.uint32)
+    stored = normalise.out_dtype
+    types: dict[str, Any] = {"clipped": np.int64, "invalid": np.int64, "low": stored, "high": stored, "checksum": np.uint32}
+    table: dict[str, np.ndarray] = {name: np.zeros(count, dtype=dtype) for name, dtype in types.items()}
     rows, columns = normalise.window
     size = (rows.stop - rows.start) * (columns.stop - columns.start) * images.shape[2] * images.dtype.itemsize
     chunk = max(1, min(CHUNK, (_FILES_BYTES if images.parallel else _CHUNK_BYTES) // size))
@@ -221,22 +225,43 @@ def decode_samples(
         with one_at_a_time:
             return list(images.read(samples, rows, columns))
 
+    def finished(sample: int) -> bool:
+        known = None if journal is None else journal.finished(sample)
+        if known is None or known["checksum"] != checksum(pixels[sample], flags[sample]):
+            return False
+        for name in types:
+            table[name][sample] = known[name]
+        return True
+
+    def decode(samples: range) -> None:
+        for sample, image in zip(samples, taken(samples), strict=True):
+            codes, marks = normalise(image, names[sample])
+            pixels[sample] = codes
+            marked = bool(marks.any())
+            if marked or (journal is not None and journal.begun):  # untouched rows of the flag file stay holes that take no space
+                flags[sample] = marks
+            if marked:
+                table["clipped"][sample], table["invalid"][sample] = (np.count_nonzero(marks == kind) for kind in (CLIPPED, INVALID))
+            table["low"][sample], table["high"][sample] = codes.min(), codes.max()
+            table["checksum"][sample] = checksum(codes, marks)
+        if journal is not None:
+            journal.add([_row_of(table, sample) for sample in samples])
+
     def work(first: int) -> None:
         samples = range(first, min(first + chunk, count))
-        for row, image in zip(samples, taken(samples), strict=True):
-            codes, marks = normalise(image, names[row])
-            pixels[row] = codes
-            if marks.any():  # untouched rows of the flag file stay holes that take no space
-                flags[row] = marks
-                table["clipped"][row], table["invalid"][row] = (np.count_nonzero(marks == kind) for kind in (CLIPPED, INVALID))
-            table["low"][row], table["high"][row] = codes.min(), codes.max()
-            table["checksum"][row] = checksum(codes, marks)
+        for run in runs_of([sample for sample in samples if not finished(sample)]):
+            decode(run)
         release(pixels, samples)  # or a store that is larger than the memory would fill it as it is written
+        release(flags, samples)
 
     _in_threads(work, range(0, count, chunk), show)
     if chunk == 1:
         give_back()  # each thread's allocator keeps what large images took
     return table
+
+
+def _row_of(table: dict[str, np.ndarray], sample: int) -> Row:
+    return {"row": sample, **{name: column[sample].item() for name, column in table.items()}}
 
 
 def _in_threads(work: Callable[[int], None], starts: range, show: bool | None) -> None:

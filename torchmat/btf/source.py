@@ -44,8 +44,8 @@ def _first_visit(folder: str, base: str, seen: set[str]) -> bool:
     return True
 
 
-def _files_below(path: Path) -> Iterator[tuple[str, tuple[int, int]]]:
-    """Yield (relative name, (size, time)) of the files below `path`; what hides or is no file is left out."""
+def _files_below(path: Path) -> Iterator[tuple[str, tuple[int, int, int]]]:
+    """Yield (relative name, (size, time of the content, time of the entry)) of the files below `path`; what hides or is no file is left out."""
     base = os.path.realpath(path)
     seen = {base}
     for root, folders, files in os.walk(path, onerror=_unlistable, followlinks=True):
@@ -59,10 +59,10 @@ def _files_below(path: Path) -> Iterator[tuple[str, tuple[int, int]]]:
                 found = os.stat(full)
             except OSError:
                 # A link to nothing stays listed: a sample that cannot be read is an error, not one sample fewer.
-                yield name, (-1, 0)
+                yield name, (-1, 0, 0)
                 continue
             if stat.S_ISREG(found.st_mode):
-                yield name, (found.st_size, found.st_mtime_ns)
+                yield name, (found.st_size, found.st_mtime_ns, found.st_ctime_ns)
 
 
 class Folder:
@@ -72,10 +72,14 @@ class Folder:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        marks = dict(_files_below(path))
+        self._marks = marks = dict(_files_below(path))
         self.names = sorted(marks)
         lines = (f"{name}\0{marks[name][0]}\0{marks[name][1]}" for name in self.names)
         self.fingerprint = hashlib.sha256("\n".join(lines).encode("utf-8", "surrogateescape")).hexdigest()
+
+    def mark(self, name: str) -> str:
+        """Return a text that changes with one file: it has changed, or was put there anew, if any of its times has."""
+        return ":".join(map(str, self._marks[name]))
 
     def read(self, name: str) -> bytes:
         """Return the content of a table; raises DataError when it cannot be read or is far too long for one."""
@@ -182,6 +186,10 @@ class Zip:
             raise DataError(message(where, "the file", "be smaller than 2 GiB", fact, "Remove it from the archive."))
         if info.flag_bits & 1:
             raise DataError(message(where, "the file", "not be encrypted", "it is", "Repack without a password."))
+
+    def mark(self, name: str) -> str:
+        """Return a text that changes with the content of one file."""
+        return f"{self._members[name].file_size}:{self._members[name].CRC}"
 
     def read(self, name: str) -> bytes:
         """Return the content of a table; raises DataError when it is damaged or far too long for one."""

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import json
 import os
-import sys
 from pathlib import Path
 from typing import IO
 
 from torchmat.errors import DataError, message
+from torchmat.file_lock import take
 
 _NAME = "lock"
 
@@ -30,7 +30,7 @@ class Lock:
         self._path = own / _NAME
         self._stream: IO[str] = open(self._path, "a+", encoding="utf-8")
         os.chmod(self._path, 0o600)
-        if not _take(self._stream):
+        if not take(self._stream):
             address, process = self._said()
             self._stream.close()
             raise Held(folder, address, process)
@@ -56,20 +56,3 @@ class Lock:
         if not self._stream.closed:
             self.say("")
             self._stream.close()
-
-
-def _take(stream: IO[str]) -> bool:
-    """Return whether the lock of an open file could be taken; the file itself says nothing, so none is left stuck."""
-    try:
-        if sys.platform == "win32":
-            import msvcrt
-
-            stream.seek(1_000_000)  # far behind the text, which others may read
-            msvcrt.locking(stream.fileno(), msvcrt.LK_NBLCK, 1)
-        else:
-            import fcntl
-
-            fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError:
-        return False
-    return True
