@@ -20,7 +20,7 @@ from torchmat.btf.decode import Decoder
 from torchmat.btf.store import CLIPPED, INVALID, summarise
 from torchmat.fitting import evaluate
 from torchmat.fitting.choice import choose, climb
-from torchmat.fitting.choice.candidate import Option
+from torchmat.fitting.choice.candidate import Option, fit_rung
 from torchmat.fitting.choice.choose import MET, NOT_MET, WITHIN
 from torchmat.fitting.choice.examine import Examiner
 from torchmat.fitting.choice.kept_back import KeptBack, keep_back
@@ -111,6 +111,37 @@ def test_a_height_map_is_taken_as_it_is():
     assert result.stop_reason == MET and result.relief is None
     assert torch.equal(result.material.maps["height"], scene.true_height.float())
     assert all(row["candidate"].endswith("on relief") or row["decision"] == "skipped" for row in rows_of(result))
+
+
+@pytest.mark.parametrize(("better", "away", "outcome"), [(True, 1.0, MET), (False, 1.0, NOT_MET), (True, 4.0, NOT_MET)])
+def test_before_it_gives_up_the_truest_on_a_relief_is_finished(monkeypatch, better, away, outcome):
+    scene = relief_scene()
+    training = make_training(scene.btf(), torch.arange(len(scene.btf())), 0, True, torch.float32, False)
+    training = replace(training, finish=True)
+    rung = next(one for one in all_rungs() if one.model == "lambert")
+    whole = fit_rung(training, rung, scene.true_height.float())
+    dull = whole.material.with_maps(albedo=0.95 * whole.material.maps["albedo"].detach())
+    held = climb.Climb(training, Target(psnr=30))
+    before, after = (10 * math.log10(1 / held.cost_of(one)) for one in (dull, whole.material))
+    climbing = climb.Climb(training, Target(psnr=(after if away == 1.0 else before + away) - 0.3))
+    climbing._consider(rung, replace(whole, material=dull), 0.0, scene.true_height.float())
+    assert after - before < 2.5
+    given = []
+
+    def finish(part, fitted, moves):
+        given.append(moves)
+        assert part.relief == fitted.material.relief == "fine"
+        assert len(given) == 2 or away > 3 or torch.equal(fitted.material.maps["albedo"], dull.maps["albedo"])
+        done = whole.material if better else fitted.material
+        return replace(fitted, material=done, figures={"finish": {"kept": better, "why": None if better else "no better"}})
+
+    monkeypatch.setattr(choose, "finish", finish)
+    choose._try_finished(climbing, moves=True)
+    delivered = choose._finished(climbing, choose._delivered(climbing, None), moves=True)
+    assert delivered.stop_reason == outcome and len(given) == (1 if better else 2) and all(given)
+    names = [(row["candidate"], row["decision"]) for row in climbing.log.rows]
+    name = "Lambert on relief, finished" if outcome == MET else "the finish of Lambert on relief"
+    assert names[1] == (name, "kept" if outcome == MET else "skipped")
 
 
 def test_the_distribution_material_is_built_part_by_part(monkeypatch):

@@ -93,11 +93,16 @@ def test_how_much_is_measured_is_asked_for_and_said(module, monkeypatch, btf):
     assert full.report["held_out"]["samples"] == len(full.split.held_out) == len(full.held_out_errors)
     assert tm.fit(btf, "ptm", holdout=0.4, measure=True).report["held_out"] == full.report["held_out"]
     monkeypatch.setattr(module, "QUICK_TEXELS", 10 * 12 * 16)
-    monkeypatch.setattr(module, "PERCEPTUAL_TEXELS", 8 * 6 * 8)
+    monkeypatch.setattr(module, "_PERCEPTUAL_SOME", 8 * 6 * 8)
+    monkeypatch.setattr(module, "_PERCEPTUAL_TRAIN", 8 * 3 * 4)
     quick = tm.fit(btf, "ptm", holdout=0.4, measure="quick")
     assert [quick.report[part]["samples"] for part in ("train", "held_out", "held_out_after_export")] == [10, 10, 10]
     assert quick.held_out_errors is None and len(quick.split.held_out) > 10
     assert "10 images; SSIM and delta E: 8, the middle 6 x 8 texels" in fit_tables(quick.report)
+    assert quick.report["train"]["perceptual_size"] == [3, 4]
+    thorough = tm.fit(btf, "ptm", holdout=0.4, measure="full").report
+    assert thorough["train"]["perceptual_size"] == [12, 16]
+    assert thorough["held_out"]["psnr_db"] == full.report["held_out"]["psnr_db"]
     assert tm.fit(btf, "ptm", measure="none").report["train"] == {} == tm.fit(btf, "ptm", measure=False).report["train"]
     with pytest.raises(RangeError, match="measure must be one of 'none', 'quick', 'full'"):
         tm.fit(btf, "ptm", measure="fast")

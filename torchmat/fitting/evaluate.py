@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import time
+from functools import partial
 from typing import Any, NamedTuple
 
 import torch
@@ -25,11 +26,14 @@ PERCEPTUAL_SAMPLES, PERCEPTUAL_TEXELS = 256, 2_000_000
 _FEWEST = 8  # samples that are looked at, however large they are
 MEASURES = ("none", "quick", "full", "auto")
 SPLITS = ("train", "held_out", "held_out_after_export")
-_TRAIN_SAMPLES, TRAIN_TEXELS = 512, 100_000_000  # the training error is measured on at most so much, evenly chosen
+_TRAIN_SAMPLES, TRAIN_TEXELS = 512, 100_000_000  # "full" measures the training error on at most so much, evenly chosen
 QUICK_TEXELS = 2_000_000  # of each part, where quick figures are asked for
-# "auto" looks at every so-manieth row and column of images above so many texels: about so many of each, of so many in all
-# for the training error, and at so many for SSIM and CIEDE2000.
-LARGE_TEXELS, _OF_EACH, _OF_TRAIN, _PERCEPTUAL_FEW = 1 << 20, 1 << 17, 1 << 21, 1 << 19
+# "auto" looks at every so-manieth row and column of images above so many texels: about so many of each; of so many in all
+# for the training error, whatever the size.
+LARGE_TEXELS, _OF_EACH, _OF_TRAIN = 1 << 20, 1 << 17, 1 << 21
+# SSIM and CIEDE2000 take seven times what the other figures take: "auto" looks at so many texels of what is held out, and at
+# fewer of what the fit saw, where they say least.
+_PERCEPTUAL_SOME, _PERCEPTUAL_TRAIN = 1 << 19, 1 << 17
 _VALUES = 1_000_000  # values of one batch: larger ones leave the processor's cache and take three times as long
 
 
@@ -52,7 +56,7 @@ def predict(material: Material, btf: Btf, indices: Tensor) -> Tensor:
 
 def evaluate(
     material: Material, btf: Btf, indices: Tensor, most: int | None = None, progress: bool | None = False,
-    perceptual: bool = True, every: int = 1, exported: bool = False,
+    perceptual: bool = True, every: int = 1, exported: bool = False, perceptual_texels: int | None = None,
 ) -> Evaluation:
     """Measure a material against samples of a BTF: errors pooled, by polar angle, and of each sample.
 
@@ -68,11 +72,14 @@ def evaluate(
         every: look at every so-manieth row and column alone (`spacing_of` says where that may be), of the middle for SSIM and
             CIEDE2000.
         exported: whether to measure the material as its textures hold it.
+        perceptual_texels: about how many texels SSIM and CIEDE2000 look at; None is 2 million, and 2^19 with `every` above 1.
     """
     if most is not None and len(indices) > most:
         indices = indices[torch.linspace(0, len(indices) - 1, most).round().long()]
     part = comparable(material, btf)[1]
-    share = perceptual_share(len(indices), part.height, part.width, PERCEPTUAL_TEXELS if every == 1 else _PERCEPTUAL_FEW)
+    if perceptual_texels is None:
+        perceptual_texels = PERCEPTUAL_TEXELS if every == 1 else _PERCEPTUAL_SOME
+    share = perceptual_share(len(indices), part.height, part.width, perceptual_texels)
     count, rows, columns = share
     looked_at = torch.zeros(len(indices), dtype=torch.bool)
     if perceptual:
@@ -194,23 +201,26 @@ def few_samples(btf: Btf) -> int:
 
 
 def evaluate_parts(
-    btf: Btf, material: Material, split: Split, progress: bool | None = False, quick: bool = False, every: int = 1
+    btf: Btf, material: Material, split: Split, progress: bool | None = False, quick: bool = False, every: int = 1, full: bool = False
 ) -> tuple[dict[str, Any], Evaluation | None]:
     """Return the figures of each of SPLITS, NotMeasured without held-out samples, and what was measured on those.
 
-    On all held-out samples and some that the fit saw, or of both on few, `quick`; on `every` so-manieth row and column.
+    On all held-out samples and some that the fit saw, or of both on few, `quick`; on `every` so-manieth row and column; SSIM and
+    CIEDE2000 on as many texels as `evaluate` takes, `full`, or on fewer.
     """
+    looks, glances = (None, None) if full else (_PERCEPTUAL_SOME, _PERCEPTUAL_TRAIN)
     texels = -(-btf.height // every) * -(-btf.width // every)
     few = few_samples(btf) if quick else None
-    some = min(few or _TRAIN_SAMPLES, _TRAIN_SAMPLES, max(_FEWEST, (TRAIN_TEXELS if every == 1 else _OF_TRAIN) // texels))
-    report: dict[str, Any] = {"train": evaluate(material, btf, split.train, some, progress, every=every).report}
-    held_out = evaluate(material, btf, split.held_out, few, progress, every=every) if len(split.held_out) else None
+    some = min(few or _TRAIN_SAMPLES, _TRAIN_SAMPLES, max(_FEWEST, (TRAIN_TEXELS if full else _OF_TRAIN) // texels))
+    report: dict[str, Any] = {"train": evaluate(material, btf, split.train, some, progress, every=every, perceptual_texels=glances).report}
+    measured = partial(evaluate, material, btf, split.held_out, few, progress, every=every, perceptual_texels=looks)
+    held_out = measured() if len(split.held_out) else None
     if held_out is None:
         step = "Give holdout=0.2; report['train'] has the errors on samples that the fit saw."
         return report | {part: NotMeasured(part, "no samples are held out", step) for part in SPLITS[1:]}, None
     report["held_out"] = held_out.report
     with working("measuring after export", progress):
-        report["held_out_after_export"] = evaluate(material, btf, split.held_out, few, progress, every=every, exported=True).report
+        report["held_out_after_export"] = measured(exported=True).report
     return report, held_out
 
 

@@ -70,7 +70,7 @@ def measured(
         return nothing_measured() | ({} if test is None else _not_measured()), None
     quick, every = how == MEASURES[1], spacing_of(material, btf) if how == MEASURES[3] else 1
     with working("measuring", progress):
-        errors, held_out = evaluate_parts(btf, material, split, progress, quick, every)
+        errors, held_out = evaluate_parts(btf, material, split, progress, quick, every, how == MEASURES[2])
         return errors | ({} if test is None else _tested(material, test, progress, quick, every)), held_out
 
 

@@ -24,7 +24,7 @@ _ONE_LIGHT = (DEFAULT_LIGHT,)
 
 
 def render(
-    material: Shader, mesh: str | Path | Mesh | trimesh.Trimesh | Scene = "sphere",
+    material: Shader | Pyramid, mesh: str | Path | Mesh | trimesh.Trimesh | Scene = "sphere",
     lights: Sequence[Light | Sequence[float]] = _ONE_LIGHT, view: Sequence[float] = FRONT,
     size: int | tuple[int, int] = 512, repeat: float = 1.0, *, camera: Camera | None = None, shadows: bool = False,
     rays: int = 4, edges_only: bool = False, gradient: bool = False,
@@ -36,7 +36,7 @@ def render(
     flatter than they were fitted to (polynomials, harmonics, PCA) fade over the last 10 degrees before it sets.
 
     Args:
-        material: a Material, a Brdf, or a RawBtf.
+        material: a Material, a Brdf, a RawBtf, or a `Pyramid` of one, which keeps its smaller copies from picture to picture.
         mesh: "patch" (the flat sample filling the picture, texels as high as wide), "quad", "cube", "sphere", "torus",
             "teapot", a file (OBJ, glTF, PLY, STL, OFF), a Mesh, or a Scene, which holds all that follows and keeps what its
             camera sees.
@@ -67,9 +67,9 @@ def render(
     return Scene(mesh, lights, camera, view, size, repeat, shadows, rays, edges_only).picture(material, gradient)
 
 
-def _checked(material: Shader) -> Shader:
+def _checked(material: Shader | Pyramid) -> Shader | Pyramid:
     """Return the material if it can be rendered; raises RangeError."""
-    if not hasattr(material, "shade_at"):
+    if not isinstance(material, Pyramid) and not hasattr(material, "shade_at"):
         step = "Use load_material, load_brdf, or RawBtf(btf)."
         fact = f"it is a {type(material).__name__}"
         raise RangeError(message("render", "material", "be a Material, a Brdf or a RawBtf", fact, step))
@@ -77,11 +77,11 @@ def _checked(material: Shader) -> Shader:
 
 
 def _patch(
-    material: Shader, lights: list[Light], view: Tensor, size: int | tuple[int, int], repeat: float, gradient: bool
+    material: Shader | Pyramid, lights: list[Light], view: Tensor, size: int | tuple[int, int], repeat: float, gradient: bool
 ) -> Tensor:
     if not isinstance(size, int):
         raise RangeError(message("render", "size of a patch", "be its columns", f"it is {size}", "Its rows follow."))
-    pyramid = Pyramid(material, gradient)
+    pyramid = material if isinstance(material, Pyramid) else Pyramid(material, gradient)
     height, width = pyramid.size
     rows = max(1, round(size * height / width))
     u = (torch.arange(size, dtype=view.dtype) + 0.5) / size * repeat

@@ -17,7 +17,7 @@ from torchmat.rendering.as_mesh import as_mesh
 from torchmat.rendering.camera import Camera
 from torchmat.rendering.lights import DEFAULT_LIGHT, Light, as_light, unit
 from torchmat.rendering.mesh import Mesh
-from torchmat.rendering.mipmap import Shader
+from torchmat.rendering.mipmap import Pyramid, Shader
 from torchmat.rendering.objects import check_lights, reach, shade_visible
 from torchmat.rendering.visibility import Visible, picture_size, see
 from torchmat.scene_use import SceneUse
@@ -86,7 +86,7 @@ class Scene:
             self._seen[dtype] = see(as_mesh(self.mesh), self.camera, self.size, self.rays, self.edges_only, self.repeat, dtype)
         return self._seen[dtype]
 
-    def picture(self, material: Shader, gradient: bool = False) -> Tensor:
+    def picture(self, material: Shader | Pyramid, gradient: bool = False) -> Tensor:
         """Return the linear picture [3, rows, columns] of a material in this scene; with `gradient`, one in its maps."""
         return shade_visible(material, self.visible(material.dtype), self._lights, self.shadows, gradient, soften=True)
 

@@ -11,8 +11,6 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 import torch
-from scipy import sparse
-from scipy.sparse import csgraph
 
 from torchmat import frames
 from torchmat.rendering.edges import edge_pairs
@@ -156,6 +154,9 @@ def _fans(corner: np.ndarray, normal: np.ndarray, crease: float) -> tuple[np.nda
         smooth[block] &= dot(normal[first[block] // 3], normal[second[block] // 3]) >= limit
     first, second = first[smooth], second[smooth]
     one, other = np.concatenate((first, _after(first))), np.concatenate((_after(second), second))
+    from scipy import sparse  # as in edges.py: only where a mesh is made
+    from scipy.sparse import csgraph
+
     links = sparse.coo_array((np.ones(len(one), dtype=np.int8), (one, other)), shape=(len(points), len(points)))
     count, fan = csgraph.connected_components(links, directed=False)
     return fan, count

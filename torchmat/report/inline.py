@@ -9,6 +9,9 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
+# Half a second of a short fit's report went into squeezing its pictures: a little larger, they are written five times as fast.
+PNG_LEVEL = 1
+
 
 def data_uri(planes: Tensor, colours: str = "gray", low: float | None = None, high: float | None = None) -> str:
     """Return planes as a PNG data URI: [3, H, W] as display values 0 to 1, [1, H, W] in `colours` from `low` to `high`.
@@ -17,12 +20,12 @@ def data_uri(planes: Tensor, colours: str = "gray", low: float | None = None, hi
     """
     from matplotlib.image import imsave
 
-    stream = io.BytesIO()
+    stream, fast = io.BytesIO(), {"compress_level": PNG_LEVEL}
     if len(planes) == 3:
         pixels = (planes.nan_to_num(0.0).clamp(0, 1) * 255).round().to(torch.uint8)
-        imsave(stream, pixels.permute(1, 2, 0).contiguous().numpy(), format="png")
+        imsave(stream, pixels.permute(1, 2, 0).contiguous().numpy(), format="png", pil_kwargs=fast)
     else:
-        imsave(stream, planes[0].nan_to_num(0.0).float().numpy(), format="png", cmap=colours, vmin=low, vmax=high)
+        imsave(stream, planes[0].nan_to_num(0.0).float().numpy(), format="png", cmap=colours, vmin=low, vmax=high, pil_kwargs=fast)
     return _encoded(stream.getvalue())
 
 

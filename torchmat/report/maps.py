@@ -17,6 +17,7 @@ from torchmat.models import Distribution, Material
 from torchmat.models.parabolic import EVEN, places
 from torchmat.models.storage import MapSpec
 from torchmat.rendering import render
+from torchmat.rendering.mipmap import Pyramid
 from torchmat.report.pictures import plotting, save_figure
 from torchmat.report.samples import Measured, degrees, polar_deg
 from torchmat.report.tables import number
@@ -199,9 +200,10 @@ def _distinct(material: Material, lights: Tensor, views: Tensor, size: int) -> d
     height, width = material.size
     across = max(1, min(size, round(size * width / height)))  # a tall patch keeps its height
     found: dict[int, Tensor] = {}
+    pyramid = Pyramid(material)
     for number_of in (4, 0, 1, 2, 3, 5, 6, 7, 8):  # straight above first, which every material has
         light, view = lights[number_of].tolist(), views[number_of].tolist()
-        picture = colour.display(render(material, "patch", [light], view=view, size=across).float())
+        picture = colour.display(render(pyramid, "patch", [light], view=view, size=across).float())
         if all(float((picture - other).abs().max()) > _ALIKE for other in found.values()):
             found[number_of] = picture
     return found

@@ -19,6 +19,10 @@ from torchmat.geometry import Relief, normals_from_slopes, slopes_from_height
 from torchmat.progress import progress
 from torchmat.rendering import Scene
 from torchmat.rendering.files import on_neutral
+from torchmat.rendering.lights import as_light
+from torchmat.rendering.mipmap import Pyramid
+from torchmat.rendering.objects import shade_visible
+from torchmat.report.inline import PNG_LEVEL
 from torchmat.report.samples import Shown, degrees, difference_range, polar_deg
 
 DPI = 120
@@ -64,7 +68,9 @@ def save_figure(figure: Any, path: Path, placed: bool = False) -> Path:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         # To find what is drawn, everything is drawn twice.
-        figure.savefig(path, dpi=DPI, bbox_inches=None if placed else "tight", metadata={"Software": None})
+        figure.savefig(
+            path, dpi=DPI, bbox_inches=None if placed else "tight", metadata={"Software": None}, pil_kwargs={"compress_level": PNG_LEVEL}
+        )
     except (OSError, ValueError) as error:
         step = "Choose a name that ends in .png, in a folder that can be written to."
         raise DataError(message(str(path), "the picture", "be writable", str(error), step)) from error
@@ -158,9 +164,11 @@ def sphere_picture(result: FitResult, path: Path, size: int = 320) -> Path:
     """Draw the material on a sphere under two lights, one picture each, before a neutral grey."""
     lights = ((-0.4, 0.5, 0.768), (0.85, 0.2, 0.487))
     figure, axes = plotting().subplots(1, len(lights), figsize=(6.4, 3.5), layout="constrained")
+    # What the camera sees is found once, and with more than one ray only where a pixel lies on an edge.
+    visible = Scene("sphere", size=size, repeat=2.0, edges_only=True).visible(result.material.dtype)
+    pyramid = Pyramid(result.material)
     for axis, light in zip(axes, lights, strict=True):
-        scene = Scene("sphere", [light], size=size, repeat=2.0)
-        picture = on_neutral(scene.picture(result.material), scene.visible(result.material.dtype).coverage)
+        picture = on_neutral(shade_visible(pyramid, visible, [as_light(light)], soften=True), visible.coverage)
         axis.imshow(_shown(picture.float()))
         axis.set_title(f"light {degrees(polar_deg(torch.tensor(light)))}", fontsize=9)
         axis.set_axis_off()

@@ -17,6 +17,7 @@ from torch import Tensor
 from torchmat.errors import FitError, RangeError, message
 from torchmat.fitting.choice.candidate import Option, fit_rung
 from torchmat.fitting.choice.climb import SPENT, Climb
+from torchmat.fitting.choice.decisions import gain_db
 from torchmat.fitting.choice.ladder import built_by_parts, last_rungs, named
 from torchmat.fitting.choice.measured import MARGIN, most_on_highlights
 from torchmat.fitting.choice.shrink import Shrunk, total_bytes
@@ -30,6 +31,7 @@ from torchmat.models import Material
 from torchmat.models.relief_maps import FINE
 
 MET, NOT_MET, WITHIN = "target met", "target not met", "best within the budget"
+_FINISH_DB = 3.0  # more than a finish has ever brought (0.6 to 1.7)
 _RECOVERY = 10  # times the seconds of all flat candidates: what a recovery took at least on the data measured so far
 
 
@@ -55,6 +57,7 @@ def fit_auto(training: Training, target: Target, geometry: Geometry) -> Fitted:
         for recipe in built_by_parts():
             if _goes_on(climb, recipe.name):
                 climb.by_parts(recipe, given)
+        _try_finished(climb, moves=False)
         _try_the_last(climb, given)
         return _finished(climb, _delivered(climb, None), moves=False)
     climb.flat()
@@ -66,8 +69,30 @@ def fit_auto(training: Training, target: Target, geometry: Geometry) -> Fitted:
         if _goes_on(climb, recipe.name):
             helps = recovery is not None and _relief_helps(climb, recipe.name)
             climb.by_parts(recipe, recovery.relief.height if recovery and helps else None)
+    _try_finished(climb, moves=True)
     _try_the_last(climb, recovery.relief.height if recovery and climb.best.height is not None else None)
     return _finished(climb, _delivered(climb, recovery), moves=True)
+
+
+def _try_finished(climb: Climb, moves: bool) -> None:
+    """Finish the truest candidate on a relief where none is what is wanted: that is worth a decibel or two, and its maps can be painted."""
+    rivals = [one for one in climb.options if one.height is not None and not (one.short or one.thin)]
+    if climb.limit is None or climb.met or not rivals or not climb.training.finish:
+        return
+    truest = min(rivals, key=lambda option: option.cost_in_full)
+    name, start = f"the finish of {truest.name}", climb.watch.seconds
+    if gain_db(truest.cost_in_full, climb.limit) > _FINISH_DB:
+        climb.log.skip(name, f"the target is more than {_FINISH_DB:g} dB away")
+        return
+    if climb.watch.spent:
+        climb.log.skip(name, SPENT)
+        return
+    training = replace(climb.part, relief=FINE, progress=climb.training.progress)
+    done = finish(training, replace(truest.fitted, material=truest.fitted.material.with_relief(FINE)), moves)
+    if not done.figures["finish"]["kept"]:
+        climb.log.skip(name, done.figures["finish"]["why"])
+        return
+    climb.finished(truest, done, start)
 
 
 def _try_the_last(climb: Climb, height: Tensor | None) -> None:
@@ -80,7 +105,7 @@ def _try_the_last(climb: Climb, height: Tensor | None) -> None:
 def _finished(climb: Climb, fitted: Fitted, moves: bool) -> Fitted:
     """Return the material chosen after its finish, followed finely, where samples kept back come out better as it is stored."""
     material = fitted.material
-    if not climb.training.finish or not material.has_relief or climb.watch.spent:
+    if not climb.training.finish or not material.has_relief or climb.watch.spent or "finish" in fitted.figures:
         return fitted
     training = replace(climb.part, relief=FINE, progress=climb.training.progress)
     done = finish(training, replace(fitted, material=material.with_relief(FINE)), moves)
@@ -163,7 +188,8 @@ def _delivered(climb: Climb, recovery: Recovery | None) -> Fitted:
         in_time = too_large or not climb.watch.spent
         best = climb.shrunk(best) if in_time else replace(best, shrunk=Shrunk(best.material, best.cost))
     fitted, material = best.fitted, best.material
-    if not recipe_of(best.rung.model).iterates and not climb.watch.spent:
+    takes_steps = recipe_of(best.rung.model).iterates or "finish" in fitted.figures
+    if not takes_steps and not climb.watch.spent:
         fitted = fit_rung(climb.knowing(climb.training, best), best.rung, best.height)
         material = fitted.material.stored_at(material.stored)
     relief = recovery.relief if recovery is not None and best.height is not None else None

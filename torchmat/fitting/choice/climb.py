@@ -108,6 +108,10 @@ class Climb:
             few = _SHORT_SAVES * self.bytes_of(whole)
             self.options = [one for one in self.options if not one.short or self.bytes_of(one) < few]
 
+    def finished(self, option: Option, done: Fitted, start: float) -> None:
+        """Take a candidate after its finish, on the pictures, as one more."""
+        self._consider(option.rung, done, start, option.height, name=f"{option.name}, finished")
+
     def at_last(self, rung: Rung, height: Tensor | None) -> None:
         """Try a candidate that is tried after all others."""
         if self._cannot_pay(rung, height):
@@ -230,9 +234,9 @@ class Climb:
         return replace(option, cost=cost, cost_in_full=cost), measured
 
     def _consider(
-        self, rung: Rung, fitted: Fitted, start: float, height: Tensor | None = None, thin: bool = False
+        self, rung: Rung, fitted: Fitted, start: float, height: Tensor | None = None, thin: bool = False, name: str | None = None
     ) -> Option:
-        """Measure a candidate, store it smaller if it may be chosen, and note what it brings."""
+        """Measure a candidate, store it smaller if it may be chosen, and note what it brings, under its `name` or another."""
         option, measured = self._measured(Option(rung, fitted, fitted.material, math.inf, height, thin=thin))
         before = self.rank(self.best) if self.options else (math.inf,)
         if thin and self._may_be_chosen(option, before):
@@ -241,7 +245,7 @@ class Climb:
         small = self.shrunk(option) if not option.thin and self._may_be_chosen(option, before) else option
         self.options.append(small)
         kept = self.rank(small) < before
-        self._note(option, measured, start, kept, self._why(measured, small, kept))
+        self._note(option, measured, start, kept, self._why(measured, small, kept), name)
         return small
 
     def _may_be_chosen(self, option: Option, before: tuple[float, ...]) -> bool:
@@ -267,9 +271,9 @@ class Climb:
             return measured.gap_text(self.target) or "takes too many bytes"
         return f"meets the target, in {self.bytes_of(small):.2f} bytes{'' if kept else ': others take fewer'}"
 
-    def _note(self, option: Option, measured: Measured, start: float, kept: bool, why: str) -> None:
+    def _note(self, option: Option, measured: Measured, start: float, kept: bool, why: str, name: str | None = None) -> None:
         seconds = self.watch.seconds - start
-        self.log.tried(option.name, self.bytes_of(option), measured, option.cost, seconds, kept, why)
+        self.log.tried(name or option.name, self.bytes_of(option), measured, option.cost, seconds, kept, why)
 
     def _cannot_pay(self, rung: Rung, height: Tensor | None = None) -> bool:
         """Return whether a candidate need not be fitted, and note why."""
