@@ -110,8 +110,8 @@ def test_how_much_is_measured_is_asked_for_and_said(module, monkeypatch, btf):
 
 def test_of_large_images_few_are_measured_again(module, monkeypatch, btf):
     monkeypatch.setattr(module, "TRAIN_TEXELS", 9 * 12 * 16)
-    report = tm.fit(btf, "ptm").report
-    assert report["train"]["samples"] == 9
+    monkeypatch.setattr(module, "_OF_TRAIN", 10 * 12 * 16)
+    assert [tm.fit(btf, "ptm", measure=how).report["train"]["samples"] for how in ("full", "auto")] == [9, 10]
 
 
 def test_rows_of_a_comparison_may_be_quick(module, monkeypatch, btf):

@@ -133,7 +133,7 @@ def _run(btf: Btf, entry: Entry, setting: Setting, curve: bool) -> tuple[FitResu
 
 def _figures(btf: Btf, runs: list[tuple[FitResult, float | None]], quick: bool) -> dict[str, Any]:
     result, report = runs[-1][0], runs[-1][0].report
-    report = report | evaluate_parts(btf, result.material, result.split, False, quick)[0]
+    report = report | evaluate_parts(btf, result.material, result.split, False, quick, full=not quick)[0]
     seconds = [one.report["fit_seconds"] for one, _ in runs]
     memory = [taken for _, taken in runs[: max(1, len(runs) - 1)] if taken is not None]
     held_out, after = report["held_out"] or report["train"], report["held_out_after_export"] or {}
