@@ -173,6 +173,16 @@ def test_the_line_lives_while_nothing_moves_and_ends_with_the_command(terminal, 
     assert terminal.getvalue() == ended
 
 
+def test_between_what_is_named_a_command_no_longer_starts(terminal, monkeypatch):
+    monkeypatch.setattr(sys, "stderr", terminal)
+    with announced("fit: starting", "fit"):
+        line._LINE.draw()
+        with phase("reading a.zip"):
+            pass
+        line._LINE.draw()
+    assert [text.split("  ")[0].strip() for text in terminal.getvalue().split("\r")[1:4]] == ["fit: starting", "reading a.zip", "fit"]
+
+
 def test_a_command_that_is_over_at_once_says_nothing(terminal, monkeypatch):
     monkeypatch.setattr(sys, "stderr", terminal)
     with announced("models: starting"):

@@ -33,6 +33,7 @@ class Activity:
     of: str | None = None
     seconds: float = math.inf
     shown: bool = True
+    later: str = ""
     done: float = 0.0
     begun: float = field(default_factory=time.monotonic)
 
@@ -77,6 +78,8 @@ class _Line:
 
     def begin(self, one: Activity) -> None:
         with self.lock:
+            if self.doing and self.doing[0].later:
+                self.doing[0].what = self.doing[0].later
             self.doing.append(one)
             if one.total is None:
                 self.draw()
@@ -185,13 +188,16 @@ def _shown(show: bool | None) -> bool:
 
 
 @contextmanager
-def announced(what: str) -> Iterator[None]:
-    """Show on a terminal all that is done until the end, from `what` on, and that it goes on; in a pipe nothing."""
+def announced(what: str, later: str = "") -> Iterator[None]:
+    """Show on a terminal all that is done until the end, from `what` on, and that it goes on; in a pipe nothing.
+
+    `later` is what it is called between what is named, once anything was.
+    """
     if _LINE.session is not None or not _is_terminal(sys.stderr):
         yield
         return
     usual, over = (sys.stdout, sys.stderr), threading.Event()
-    root = Activity(what)
+    root = Activity(what, later=later)
 
     def look() -> None:
         wait = _FIRST

@@ -13,8 +13,10 @@ from pathlib import Path
 from typing import Any
 
 from measure import SHARED
+from photographs import rti_set
 
 _LEATHER, _REAL = SHARED / "reference" / "leather.zip", SHARED / "real"
+_LARGE = "fit ptm, museum size"  # 50 photographs of 4000 x 3000, which take two minutes to make
 _MOST = 900  # seconds of one command
 
 
@@ -66,6 +68,7 @@ def commands(folder: Path) -> dict[str, list[str]]:
         "create, textures": ["create", str(picture.parent)],
         "geometry": ["geometry", str(_LEATHER)],
         "compare": ["compare", str(_LEATHER), "--models", "ptm", "phong_srf"],
+        _LARGE: ["fit", "ptm", str(folder / "large" / "lights.lp"), "--cache", str(folder / "cache")],
     }
     return {name: [*given, "--out", str(folder / name)] for name, given in made.items()}
 
@@ -77,6 +80,8 @@ def signs(only: tuple[str, ...] = ()) -> list[dict[str, Any]]:
         for name, given in commands(Path(folder)).items():
             if only and name not in only:
                 continue
+            if name == _LARGE:
+                rti_set(Path(folder) / "large", 50, 3000, 4000)
             found, seconds, code = watched(given)
             row = {"command": name, **figures(found, seconds), "code": code}
             print({key: round(value, 2) if isinstance(value, float) else value for key, value in row.items()}, flush=True)

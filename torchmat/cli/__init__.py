@@ -9,6 +9,7 @@ import os
 import shutil
 import sys
 
+from torchmat.cli.libraries import prepare
 from torchmat.cli.threads import let_threads_sleep
 from torchmat.progress import announced
 
@@ -22,6 +23,7 @@ def main(arguments: list[str] | None = None, command: str | None = None) -> int:
     Returns the exit code: 0, 1 when a part failed, 2 for an error, 130 when it was stopped by Ctrl-C.
     """
     let_threads_sleep()
+    prepare()
     given = sys.argv[1:] if arguments is None else arguments
     if command is None and given == ["--version"]:
         import torchmat
@@ -34,7 +36,8 @@ def main(arguments: list[str] | None = None, command: str | None = None) -> int:
         sys.exit(0)  # as the help of a command ends the program
     if os.environ.get("NO_COLOR"):  # which tyro does not look at
         os.environ.setdefault("PYTHON_TYRO_ANSI_CODES", "False")
-    with announced(f"{command or (given or [''])[0]}: starting"):
+    name = command or (given or [""])[0]
+    with announced(f"{name}: starting", name):
         from torchmat.cli.run import run
 
         return run(given, command)

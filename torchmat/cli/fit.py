@@ -104,6 +104,7 @@ class Fit:
         from torchmat.fitting.choice.choose import NOT_MET
         from torchmat.geometry.tiling import Tiling
         from torchmat.material_io import check_target
+        from torchmat.progress import phase
         from torchmat.rendering.as_mesh import as_mesh
         from torchmat.rendering.scene_file import load_scene
         from torchmat.report import write_fit
@@ -127,7 +128,8 @@ class Fit:
         if run is not None:
             run.check_data(btf)
         result = fit(btf, config, work=self.work, scene=scenes or None, measure=self.measure)
-        result = replace(result, report={**result.report, "run": run_of(config, data, names, btf, self.command)})
+        with phase("telling these images from others"):
+            result = replace(result, report={**result.report, "run": run_of(config, data, names, btf, self.command)})
         out = still_free(out, self.force)
         folder = write_fit(btf, result, out, pictures=not self.no_pictures, force=self.force)
         if not self.read.no_cache:

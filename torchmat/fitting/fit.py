@@ -182,7 +182,8 @@ def fit(
     config = task.config
     other = unseen_of(btf, test if isinstance(test, Btf) else config.test, config.data, progress)
     split = split_samples(btf, config.holdout, config.holdout_by, config.seed)
-    tiles, tiling = decided("fit", btf, config.tiles)
+    with working("looking whether the surface repeats", progress):
+        tiles, tiling = decided("fit", btf, config.tiles)
     watch = Watch(config.target.get("seconds", math.inf), _held_out_error(btf, split) if curve else None)
     training = make_training(btf, split.train, config.seed, tiles, dtype, progress, watch)
     with torch.no_grad(), working(f"fitting {config.model if not isinstance(model, Material) else model.name}", progress):

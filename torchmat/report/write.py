@@ -54,7 +54,8 @@ def write_fit(
         if large:
             give_back()  # measuring and writing textures leave hundreds of megabytes with the allocator
         if pictures:
-            rows = shown_samples(btf, pictured)
+            with phase("choosing photographs"):
+                rows = shown_samples(btf, pictured)
             written = _fit_pictures(btf, pictured, drawn, building / "pictures", rows)
             if choice:
                 written.insert(0, decisions_picture(choice, building / "pictures" / "decisions.png"))
