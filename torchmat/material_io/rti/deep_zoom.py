@@ -1,8 +1,10 @@
 """Deep Zoom images: a picture as tiles in levels, each half as large as the next, of which a viewer loads what it shows.
 
-``NAME.dzi`` says size, tile size and overlap; ``NAME_files/LEVEL/COLUMN_ROW.jpg`` are the tiles. Level 0 is one pixel, the last
-one the picture itself (Microsoft, Deep Zoom file format, 2008). A tile holds its neighbours' nearest pixels too, `OVERLAP` of them on each
-side that has a neighbour, so that filtering shows no seam.
+``NAME.dzi`` says size, tile size and overlap; ``NAME_files/LEVEL/COLUMN_ROW.jpg`` are the tiles. The last level is the picture
+itself, level 0 what first fits into one tile, as relight writes it and OpenLIME's layout "deepzoom" asks for it (libvips:
+``--depth onetile``); Microsoft's description (Deep Zoom file format, 2008) goes on to one pixel and calls that level 0, which is
+read too. A tile holds its neighbours' nearest pixels as well, `OVERLAP` of them on each side that has a neighbour, so that
+filtering shows no seam.
 """
 
 from __future__ import annotations
@@ -23,13 +25,13 @@ _SPACE = "http://schemas.microsoft.com/deepzoom/2008"
 _WHOLE = re.compile("[0-9]{1,6}")
 
 
-def level_count(height: int, width: int) -> int:
-    """Return how many levels a picture has: halves, rounded up, until one pixel is left."""
-    return (max(height, width) - 1).bit_length() + 1
+def level_count(height: int, width: int, smallest: int = TILE) -> int:
+    """Return how many levels a picture has: halves, rounded up, until one has at most `smallest` pixels along both sides."""
+    return (-(-max(height, width) // smallest) - 1).bit_length() + 1
 
 
 def levels(pixels: np.ndarray) -> Iterator[np.ndarray]:
-    """Yield a picture [H, W, C] of 8 bits and its halves, means of 2 x 2 pixels, down to one pixel."""
+    """Yield a picture [H, W, C] of 8 bits and its halves, means of 2 x 2 pixels, down to one tile."""
     for _ in range(level_count(*pixels.shape[:2])):
         yield pixels
         pixels = halved(pixels)
@@ -76,7 +78,10 @@ def write_deep_zoom(path: Path, pixels: np.ndarray, image: str = "jpg", quality:
 def read_deep_zoom(path: Path) -> np.ndarray:
     """Return the finest level of a Deep Zoom image as [H, W, C]; raises DataError, which names the file, for what is no such image."""
     (height, width), tile, overlap, image = _description(path)
-    folder = path.with_name(f"{path.stem}_files") / str(level_count(height, width) - 1)
+    found = path.with_name(f"{path.stem}_files")
+    # Of levels down to one pixel the finest has a higher number; the other then stands for a coarse one.
+    folder, other = (found / str(level_count(height, width, smallest) - 1) for smallest in (tile, 1))
+    folder = other if other.is_dir() else folder
     whole: np.ndarray | None = None
     for row in range(-(-height // tile)):
         for column in range(-(-width // tile)):

@@ -13,6 +13,7 @@ import numpy as np
 from torchmat.errors import DataError, message
 from torchmat.material_io.rti.coefficients import Coefficients, Ranges, arranged, harmonics_in_files
 
+INFO = "info.json"
 POLYNOMIAL = (5, 3, 4, 0, 2, 1)  # which of our terms stand where: 1, x, y, x^2, x y, y^2
 LARGEST = 65_535  # texels of a side, in a JPEG
 _KNOWN = {("ptm", "rgb", 18): "ptm", ("ptm", "lrgb", 9): "lptm", ("hsh", "rgb", 12): "hsh", ("hsh", "rgb", 27): "hsh"}

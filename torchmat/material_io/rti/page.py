@@ -6,21 +6,14 @@ lets no page read the files beside it.
 
 from __future__ import annotations
 
-import base64
-from importlib import resources
 from pathlib import Path
 
 from torchmat.material_io.exporter import Exporter, Losses
+from torchmat.material_io.rti.filled import PAGE, filled, uri_of
+from torchmat.material_io.rti.info import INFO
 from torchmat.material_io.rti.losses import losses_of
-from torchmat.material_io.rti.relight_folder import INFO, read_relight, write_planes
+from torchmat.material_io.rti.relight_folder import read_relight, write_planes
 from torchmat.models import Material
-
-PAGE = "index.html"
-_TYPES = {".jpg": "image/jpeg", ".png": "image/png"}
-
-
-def _uri(path: Path) -> str:
-    return f'"data:{_TYPES[path.suffix]};base64,{base64.b64encode(path.read_bytes()).decode("ascii")}"'
 
 
 def write_page(
@@ -28,11 +21,8 @@ def write_page(
 ) -> Losses:
     """Write relight's folder as `write_relight` does, and a page ``index.html`` that shows it: the light follows the pointer."""
     written, files = write_planes(material, path, image, quality, model)
-    page = resources.files("torchmat.material_io.rti").joinpath("page.html").read_text(encoding="utf-8")
-    info = (path / INFO).read_text(encoding="utf-8").strip()
-    for mark, content in (("/*INFO*/{}", info), ("/*PLANES*/[]", f"[{','.join(map(_uri, files))}]")):
-        page = page.replace(mark, content)
-    (path / PAGE).write_text(page, encoding="utf-8")
+    marks = {"/*INFO*/{}": (path / INFO).read_text(encoding="utf-8").strip(), "/*PLANES*/[]": f"[{','.join(map(uri_of, files))}]"}
+    (path / PAGE).write_text(filled("page.html", marks), encoding="utf-8")
     return losses_of(material, written, read_relight(path), "8 bits" if image == "png" else f"8 bits, JPEG of quality {quality}")
 
 

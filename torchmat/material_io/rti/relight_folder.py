@@ -13,13 +13,13 @@ from torchmat.images import read_image, write_image
 from torchmat.material_io.exporter import Exporter, Losses
 from torchmat.material_io.rti.coefficients import coefficients_of
 from torchmat.material_io.rti.deep_zoom import SUFFIX, read_deep_zoom, write_deep_zoom
-from torchmat.material_io.rti.info import checked_info, coefficients_from, info_of
+from torchmat.material_io.rti.info import INFO, checked_info, coefficients_from, info_of
 from torchmat.material_io.rti.losses import losses_of
 from torchmat.material_io.rti.sampled import as_rti, is_rti
+from torchmat.material_io.rti.zoom_page import write_zoom_page
 from torchmat.models import Material
 from torchmat.text_file import read_json
 
-INFO = "info.json"
 IMAGES, LAYOUTS = ("jpg", "png"), ("auto", "image", "deepzoom")
 _LARGE = 4096  # texels along a side: above, "auto" cuts planes into tiles
 MODELS = ("auto", "ptm", "lptm", "hsh")
@@ -106,16 +106,22 @@ def _in_form(material: Material, model: str) -> Material:
 
 
 def write_relight(
-    material: Material, path: Path, *, image: str = "jpg", quality: int = 98, model: str = "auto", layout: str = "auto"
+    material: Material, path: Path, *, image: str = "jpg", quality: int = 98, model: str = "auto", layout: str = "auto",
+    page: bool = True,
 ) -> Losses:
     """Write a folder of relight's, which OpenLIME shows.
 
     A `ptm`, `lptm` or `hsh` in codes of a screen is written as it is; any other material is fitted first, as it is seen along the
     normal. `image`: "jpg" at `quality`, which is what viewers load, or "png", which holds the codes exactly. `model`: "ptm", "lptm",
     "hsh", or "auto": the material's own, and of others hsh. `layout`: "image" is a file a plane, "deepzoom" tiles in levels, of which
-    a viewer loads what it shows (`rti.deep_zoom`), "auto" tiles above 4096 texels on a side.
+    a viewer loads what it shows (`rti.deep_zoom`), "auto" tiles above 4096 texels on a side. `page`: whether tiles get a page that pans and
+    zooms them and moves the light, and that opens from disk (`rti.zoom_page`); it takes a third more than the tiles again.
     """
-    written, _ = write_planes(material, path, image, quality, model, layout)
+    if not isinstance(page, bool):
+        raise RangeError(message("export to relight", "page", "be true or false", f"it is {page!r}"))
+    written, files = write_planes(material, path, image, quality, model, layout)
+    if page and files[0].suffix == SUFFIX:
+        write_zoom_page(path, image, files)
     return losses_of(material, written, read_relight(path), "8 bits" if image == "png" else f"8 bits, JPEG of quality {quality}")
 
 
