@@ -17,7 +17,7 @@ PACKAGE = Path(torchmat.__file__).parent
 LEVELS = {
     "docstrings": 0, "errors": 0, "figures": 0, "mesh_arrays": 0, "safe": 0, "planes": 0, "written": 0, "repeatable": 0, "colour": 0, "progress": 0, "machine": 0,
     "cache_place": 1, "fast": 1, "file_lock": 0,
-    "icc": 1, "atomic": 1, "swap": 1, "channels": 1, "frames": 1, "images": 1, "text_file": 1, "places": 0, "metrics": 1, "bootstrap": 0, "sample": 1, "shipped": 1,
+    "icc": 1, "atomic": 1, "swap": 1, "channels": 1, "frames": 1, "images": 1, "text_file": 1, "zip_names": 0, "places": 0, "metrics": 1, "bootstrap": 0, "sample": 1, "shipped": 1,
     "solvers": 1,
     "brdf": 2, "btf": 2, "geometry": 2, "models": 3, "fitting": 4, "rendering": 4, "scene_use": 2, "material_io": 4,
     "create": 4, "web": 4, "report": 5, "many": 5, "studio": 6, "capturing": 6, "cli": 7,

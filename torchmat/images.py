@@ -59,7 +59,7 @@ def _reason(source: ModuleType | ImageInput) -> str:
 def _file_name(path: str | Path) -> str:
     """Return a path as OpenImageIO takes it: UTF-8, and whole (it would stop at a NUL and open another file)."""
     name = str(path)
-    if "\0" in name or any("\ud800" <= letter <= "\udfff" for letter in name):
+    if "\0" in name or not name.isascii() and any("\ud800" <= letter <= "\udfff" for letter in name):
         raise DataError(message(ascii(name), "the file name", "be valid UTF-8", "it is not", "Rename the file."))
     return name
 

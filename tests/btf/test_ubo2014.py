@@ -206,7 +206,8 @@ def test_what_is_decoded_leaves_memory_as_it_is_written(tmp_path, monkeypatch):
 
     def release(array, samples):
         let_go(array, samples)
-        freed.append(samples)
+        if array.ndim == 4:  # the codes; flags are let go beside them
+            freed.append(samples)
 
     monkeypatch.setattr(store, "RELEASE_BYTES", 0)
     monkeypatch.setattr(pixels, "release", release)

@@ -13,6 +13,7 @@ from pathlib import Path, PurePosixPath
 from typing import BinaryIO, IO, cast
 
 from torchmat.errors import DataError, message
+from torchmat.zip_names import zip_names
 
 SUFFIXES = {".binary": "merl", ".bsdf": "rgl"}
 _MOST_BYTES = 2**31  # larger than any published file, and than what fits into memory as a table
@@ -30,16 +31,11 @@ def kind_by_name(path: str | Path) -> str | None:
 
 def _in_zip(path: str | Path) -> list[str]:
     """Return the BRDF files in a zip; of one that holds pictures too none, for a BTF may come with its BRDF."""
-    try:
-        if not os.path.isfile(path) or not zipfile.is_zipfile(path):  # a device such as /dev/zero never ends
-            return []
-        with zipfile.ZipFile(path) as archive:
-            names = [name for name in archive.namelist() if not name.startswith("__MACOSX") and name[-1:] != "/"]
-    except Exception:  # zipfile lets struct, Unicode and other errors of a damaged directory through
+    names = [name for name in zip_names(path) if not name.startswith("__MACOSX")]
+    suffixes = {name: os.path.splitext(name)[1].lower() for name in names}
+    if set(suffixes.values()) - set(SUFFIXES) - {".txt", ".md", ".pdf", ""}:
         return []
-    found = [name for name in names if PurePosixPath(name).suffix.lower() in SUFFIXES]
-    others = {PurePosixPath(name).suffix.lower() for name in names} - set(SUFFIXES) - {".txt", ".md", ".pdf", ""}
-    return [] if others else found
+    return [name for name, suffix in suffixes.items() if suffix in SUFFIXES]
 
 
 @contextmanager

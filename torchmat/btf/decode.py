@@ -61,7 +61,7 @@ class Decoder:
     @property
     def full_code(self) -> int | None:
         """The code at which a sample counts as clipped; None for floating point."""
-        return None if self._table is None else int(np.iinfo(self.stored).max)
+        return None if self._table is None else len(self._table) - 1
 
     def through(self, curve: Callable[[Tensor], Tensor]) -> Decoder | None:
         """Return a decoder of ``curve(value)``, element by element and as fast; None where codes are no table."""

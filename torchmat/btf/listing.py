@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import unicodedata
 from collections.abc import Callable
@@ -53,11 +54,13 @@ def natural(name: str) -> tuple[tuple[int, int, str], ...]:
 
 def is_image(name: str) -> bool:
     """Tell whether a file is an image, by its suffix."""
-    return PurePosixPath(name).suffix.lower() in IMAGE_SUFFIXES
+    return os.path.splitext(name)[1].lower() in IMAGE_SUFFIXES
 
 
 def is_mask(name: str) -> bool:
     """Tell whether an image is by its name the mask of others: ``mask.png``, ``cat.mask.png``."""
+    if "mask" not in name.casefold():  # of thousands of names hardly one goes further
+        return False
     stem = PurePosixPath(name).stem.casefold()
     return is_image(name) and (stem == "mask" or stem.endswith(".mask"))
 
@@ -102,11 +105,13 @@ class FileNames:
         self._listed_at: dict[str, str] = {}
         for name in source.names:
             self._whole.setdefault(_folded(name), []).append(name)
-            self._last.setdefault(_folded(PurePosixPath(name).name), []).append(name)
+            self._last.setdefault(_folded(name.rpartition("/")[2]), []).append(name)
 
     def lookup(self, text: str) -> list[str]:
         """Return the files that `text` may mean: beside the table, from the top, or anywhere by the last part alone."""
         text = text.replace("\\", "/")
+        if text in self._exact and not self._folder.parts:  # as nearly all names are written
+            return [text]
         ways = (str(self._folder / text), str(PurePosixPath(text)))
         for name in ways:
             if name in self._exact:

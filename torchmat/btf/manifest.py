@@ -7,7 +7,6 @@ import io
 import math
 import re
 from collections.abc import Callable, Iterator
-from pathlib import PurePosixPath
 from typing import Any
 
 import torch
@@ -119,7 +118,7 @@ def _table(where: str, text: str) -> tuple[list[str], list[tuple[int, dict[str, 
 
 
 def _is_manifest(name: str) -> bool:
-    return PurePosixPath(name).name.lower() == "manifest.csv"
+    return name.rpartition("/")[2].lower() == "manifest.csv"
 
 
 def _one_number(where: str, name: str, rows: list[tuple[int, dict[str, str]]], allowed: str, good: Callable[[float], bool]) -> float:

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import shutil
 import tempfile
-import zipfile
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 
 from torchmat.brdf.archive import DAMAGED, opened, unpack
 from torchmat.btf.source import File
 from torchmat.errors import DataError, TorchmatError, message
+from torchmat.zip_names import zip_names
 
 _GZIP = b"\x1f\x8b"
 _SHARE_OF_DISK = 0.9  # what may be filled of what is free
@@ -67,14 +67,7 @@ def packed_file(path: Path) -> Packed | None:
 
 
 def _members(path: Path) -> list[str]:
-    try:
-        if not zipfile.is_zipfile(path):
-            return []
-        with zipfile.ZipFile(path) as archive:
-            names = archive.namelist()
-    except Exception:  # zipfile lets struct, Unicode and other errors of a damaged directory through
-        return []
-    return [name for name in names if name[-1:] != "/" and not any(map(_hidden, PurePosixPath(name).parts))]
+    return [name for name in zip_names(path) if not any(map(_hidden, name.split("/")))]
 
 
 def _hidden(part: str) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import itertools
 import os
 import re
 import shutil
@@ -13,13 +14,14 @@ import zipfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import cached_property
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 
 from torchmat.errors import DataError, TorchmatError, message
 from torchmat.text_file import MOST_BYTES, check_size
 
 _LARGEST_MEMBER = 2**31  # bytes of one file in a zip; a larger one is no photograph
 _PIECE = 2**20  # bytes of it that are unpacked in a go
+_MEMORY, _FILES_AT_ONCE = "/dev/shm", 64  # where files lie in memory, and more than are ever open together
 _IGNORED_PARTS = ("__MACOSX",)
 _REPACK = "Repack the archive from the original files."
 
@@ -149,6 +151,7 @@ class Zip:
         self._lock = threading.Lock()
         self._archive: zipfile.ZipFile | None = None
         self._scratch: Path | None = None
+        self._count = itertools.count()
         self.fingerprint = _mark(path)
 
     @cached_property
@@ -213,27 +216,30 @@ class Zip:
             fact = f"the archive says {stated} bytes and {came} came"
             raise DataError(message(where, "the file", "have the stated size", fact, _REPACK))
 
-    def _unpack(self, name: str) -> Path:
+    def _room(self) -> Path:
+        """Return the folder of scratch files: in memory where there is plenty, for a disk begins a file more slowly than it is decoded."""
+        with self._lock:
+            if self._scratch is None:
+                needed = _FILES_AT_ONCE * max(info.file_size for info in self._members.values())
+                spacious = "TMPDIR" not in os.environ and os.path.isdir(_MEMORY) and shutil.disk_usage(_MEMORY).free > needed
+                prefix = "torchmat-unzip-"
+                self._scratch = Path(tempfile.mkdtemp(prefix=prefix, dir=_MEMORY if spacious and os.access(_MEMORY, os.W_OK) else None))
+            return self._scratch
+
+    @contextmanager
+    def file(self, name: str) -> Iterator[Path]:
+        """Yield a path under which one file can be opened, for the time of the block (OpenImageIO reads no memory)."""
         # The suffix tells OpenImageIO the format; what is no suffix of an image must not shape a path.
-        suffix = PurePosixPath(name).suffix
+        suffix = os.path.splitext(name)[1]
         suffix = suffix if re.fullmatch(r"\.\w{1,8}", suffix, re.ASCII) else ""
         try:
-            with self._lock:
-                if self._scratch is None:
-                    self._scratch = Path(tempfile.mkdtemp(prefix="torchmat-unzip-"))
-            handle, path = tempfile.mkstemp(suffix=suffix, dir=self._scratch)
-            with os.fdopen(handle, "wb") as stream:
+            path = self._room() / f"{next(self._count)}{suffix}"  # in a folder of our own: no name is taken
+            with open(path, "xb") as stream:
                 stream.writelines(self._pieces(name))
         except OSError as error:
             where = f"{self.path}: {name}"
             step = "Free some space there or set TMPDIR to another folder."
             raise DataError(message(where, "the file", "fit in the temporary folder", str(error), step)) from error
-        return Path(path)
-
-    @contextmanager
-    def file(self, name: str) -> Iterator[Path]:
-        """Yield a path under which one file can be opened, for the time of the block (OpenImageIO reads no memory)."""
-        path = self._unpack(name)
         try:
             yield path
         finally:
