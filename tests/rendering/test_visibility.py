@@ -12,6 +12,7 @@ from tests.rendering.scenes import flat_mesh, front, squares
 from tests.support import assert_close
 
 from torchmat.errors import RangeError
+from torchmat.rendering import visibility
 from torchmat.rendering.camera import Camera
 from torchmat.rendering.mesh import of_arrays
 from torchmat.rendering.shapes import SHAPES, make_mesh
@@ -354,3 +355,26 @@ def test_errors():
     for rays in (0, 2, 25):
         with pytest.raises(RangeError, match="rays must be one of 1, 4, 9, 16; it is"):
             see(mesh, camera, 4, rays)
+
+
+@pytest.mark.parametrize("edges_only", [False, True])
+@pytest.mark.parametrize("camera", [
+    None, Camera((0.5, 0.6, 1.2), field_of_view=0.5), Camera((0.1, 0.6, 4.2), field_of_view=1.5), Camera((0.0, 0.3, 0.4), width=0.7),
+    Camera((0.2, 0.1, 1.9), (0.0, 3.0, 0.0), field_of_view=2.5),
+])
+def test_rays_that_cannot_meet_the_mesh_change_nothing(camera, edges_only, monkeypatch):
+    mesh = make_mesh("torus", segments=32)
+    camera = camera or Camera.framing(mesh.centre, mesh.radius)
+
+    def seen():
+        return visibility.see(mesh, camera, (45, 70), 4, edges_only)
+
+    few = seen()
+    fewer = visibility._may_show(mesh, camera, 45, 70, 4)
+    monkeypatch.setattr(visibility, "_may_show", lambda mesh, camera, rows, columns, rays: torch.ones(rows, columns, dtype=torch.bool))
+    every = seen()
+    assert (len(few.pixel) > 0) == bool(fewer.any())
+    for name in ("pixel", "weight", "position", "frame", "uv", "footprint", "triangle"):
+        assert torch.equal(getattr(few, name), getattr(every, name)), name
+    if camera.width is None and camera.field_of_view == 1.5:
+        assert float(fewer.double().mean()) < 0.3

@@ -82,6 +82,17 @@ class Camera:
         direction = direction / direction.norm(dim=1, keepdim=True)
         return Rays(position.expand(len(x), 3), direction, 0.0, 2 * half / columns)
 
+    def place(self, points: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Return where `points` [P, 3] float64 lie in the picture, as `rays` takes it, and how far ahead of the camera.
+
+        Of a perspective camera what lies behind it has no place: its numbers mean nothing.
+        """
+        x, y, z = ((points - vector("Camera", "position", self.position)) @ self.axes().T).unbind(dim=1)
+        if self.width is not None:
+            return x / (self.width / 2), y / (self.width / 2), -z
+        half = -z * math.tan(self.field_of_view / 2)
+        return x / half, y / half, -z
+
     @classmethod
     def framing(
         cls, centre: Sequence[float] | Tensor, radius: float, direction: Sequence[float] | Tensor = (0.0, 0.0, 1.0),

@@ -14,6 +14,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from torchmat import safe
 from torchmat.errors import DataError, check_option, message
 from torchmat.rendering import vertices
 from torchmat.rendering.mesh_file import read_triangles
@@ -77,6 +78,21 @@ class Mesh:
     def radius(self) -> float:
         """Radius of the sphere about `centre` that just holds the mesh."""
         return float((self.position - self._middle).norm(dim=1).max())
+
+    def textures_per_length(self, triangle: Tensor) -> Tensor:
+        """Return how many textures lie along one unit of length on some triangles [P], from their areas, float64."""
+        return self._textures_per_length[triangle] if len(self.faces) <= len(triangle) else self._measured(self.faces[triangle])
+
+    @functools.cached_property
+    def _textures_per_length(self) -> Tensor:
+        return self._measured(self.faces)
+
+    def _measured(self, faces: Tensor) -> Tensor:
+        corner, uv = self.position[faces].double(), self.uv[faces].double()
+        area = torch.linalg.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]).norm(dim=1)
+        first, second = uv[:, 1] - uv[:, 0], uv[:, 2] - uv[:, 0]
+        across = (first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]).abs()
+        return safe.sqrt(safe.divide(across, area))
 
     @property
     def offset(self) -> Tensor:

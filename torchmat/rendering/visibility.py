@@ -170,17 +170,16 @@ def see(
     rows, columns = picture_size(size, repeat, rays)
     check_outside(mesh, "the camera", camera.position)
     side = math.isqrt(rays)
+    wanted = _may_show(mesh, camera, rows, columns, rays)
     if side == 1 or not edges_only:
-        pixel, x, y = _grid(rows, columns, side)
+        pixel, x, y = _grid(wanted, side)
         found = _meet(mesh, camera.rays(x, y, columns), side, repeat, dtype)
         return _visible((rows, columns), mesh, pixel, 1.0 / rays, found)
-    pixel, x, y = _grid(rows, columns, 1)
+    pixel, x, y = _grid(wanted, 1)
     found = _meet(mesh, camera.rays(x, y, columns), 1, repeat, dtype)
-    edge = _edges(found, (rows, columns))
-    fine, x, y = _grid(rows, columns, side)
-    chosen = edge[fine]
-    fine = fine[chosen]
-    more = _meet(mesh, camera.rays(x[chosen], y[chosen], columns), side, repeat, dtype)
+    edge = _edges(found, pixel, (rows, columns))
+    fine, x, y = _grid(edge.reshape(rows, columns), side)
+    more = _meet(mesh, camera.rays(x, y, columns), side, repeat, dtype)
     coarse = _visible((rows, columns), mesh, pixel, 1.0, found, ~edge)
     return _joined(coarse, _visible((rows, columns), mesh, fine, 1.0 / rays, more))
 
@@ -197,14 +196,36 @@ def picture_size(size: int | tuple[int, int], repeat: float = 1.0, rays: int = 1
     return numbers[0], numbers[1]
 
 
-def _grid(rows: int, columns: int, side: int) -> tuple[Tensor, Tensor, Tensor]:
-    """Return each ray's pixel and its place in half widths from the picture's centre; `side` squared rays a pixel."""
-    step = torch.arange(columns * side, dtype=torch.float64)
-    x = ((step + 0.5) / (columns * side) * 2 - 1).expand(rows * side, -1)
-    down = torch.arange(rows * side, dtype=torch.float64)
-    y = ((1 - (down + 0.5) / (rows * side) * 2) * (rows / columns))[:, None].expand_as(x)
-    pixel = (down.long() // side)[:, None] * columns + (step.long() // side)
-    return pixel.flatten(), x.flatten(), y.flatten()
+def _may_show(mesh: Mesh, camera: Camera, rows: int, columns: int, rays: int) -> Tensor:
+    """Return which pixels, bool [rows, columns], may show the mesh: those that a triangle's rectangle in the picture meets.
+
+    All of them where a triangle reaches behind the camera, and of a mesh of more triangles than rays, which would take longer.
+    """
+    every = torch.ones(rows, columns, dtype=torch.bool)
+    if len(mesh.faces) > rays * rows * columns:
+        return every
+    x, y, ahead = camera.place(mesh.position.double() + mesh.offset)
+    if not bool((ahead > 0).all()):
+        return every
+    count = torch.zeros(rows + 1, columns + 1, dtype=torch.int32)
+    across, down = (x + 1) / 2 * columns, (1 - y * columns / rows) / 2 * rows
+    # A pixel more on all sides: the search for what rays meet rounds.
+    ends = [part[mesh.faces] for part in (down, across)]
+    low = [(part.amin(dim=1).floor() - 1).clamp(0, most).long() for part, most in zip(ends, (rows, columns), strict=True)]
+    high = [(part.amax(dim=1).floor() + 2).clamp(0, most).long() for part, most in zip(ends, (rows, columns), strict=True)]
+    # How many rectangles cover a pixel is the sum of what begins and ends above and to the left of it.
+    for (row, column), step in (((low[0], low[1]), 1), ((low[0], high[1]), -1), ((high[0], low[1]), -1), ((high[0], high[1]), 1)):
+        count.view(-1).index_add_(0, row * (columns + 1) + column, torch.full((), step, dtype=torch.int32).expand(len(row)))
+    return count.cumsum(0).cumsum(1)[:rows, :columns] > 0
+
+
+def _grid(wanted: Tensor, side: int) -> tuple[Tensor, Tensor, Tensor]:
+    """Return each ray's pixel and its place in half widths from the picture's centre; `side` squared rays a `wanted` pixel [h, w]."""
+    rows, columns = wanted.shape
+    down, across = wanted.repeat_interleave(side, 0).repeat_interleave(side, 1).nonzero().unbind(dim=1)
+    x = (across.double() + 0.5) / (columns * side) * 2 - 1
+    y = (1 - (down.double() + 0.5) / (rows * side) * 2) * (rows / columns)
+    return (down // side) * columns + across // side, x, y
 
 
 @dataclass(frozen=True)
@@ -235,7 +256,7 @@ def _meet(mesh: Mesh, rays: Rays, side: int, repeat: float, dtype: torch.dtype) 
     position = (origin[which] + rays.direction[which] * distance[:, None]).T[:, None].to(dtype)
     width = (rays.width_at_origin + rays.width_per_distance * distance).to(dtype) / side
     # A pixel covers the longer a stretch of the surface the more obliquely it is seen; past 20 times as long it stays so.
-    footprint = width * repeat * _textures_per_length(mesh, triangle).to(dtype) / local[2, 0].clamp(min=0.05)
+    footprint = width * repeat * mesh.textures_per_length(triangle).to(dtype) / local[2, 0].clamp(min=0.05)
     return _Met(which, position, frame, local, between(mesh.uv) * repeat, footprint, triangle, share.T)
 
 
@@ -248,16 +269,6 @@ def _frames(normal: Tensor, tangent: Tensor, handedness: Tensor) -> Tensor:
         tangent = torch.where(cancelled, frames.tangent_frame(normal)[0], tangent)
     bitangent = torch.linalg.cross(normal, tangent, dim=0) * torch.where(handedness < 0, -1, 1)
     return torch.stack((tangent, bitangent, normal))
-
-
-def _textures_per_length(mesh: Mesh, triangle: Tensor) -> Tensor:
-    """Return how many textures lie along one unit of length on each of some triangles [P], from their areas."""
-    rows = mesh.faces[triangle]
-    corner, uv = mesh.position[rows].double(), mesh.uv[rows].double()
-    area = torch.linalg.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]).norm(dim=1)
-    first, second = uv[:, 1] - uv[:, 0], uv[:, 2] - uv[:, 0]
-    across = (first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]).abs()
-    return safe.sqrt(safe.divide(across, area))
 
 
 def _visible(
@@ -278,10 +289,10 @@ def _joined(one: Visible, other: Visible) -> Visible:
     return Visible(one.size, one.mesh, *both)
 
 
-def _edges(met: _Met, size: tuple[int, int]) -> Tensor:
-    """Return which pixels, bool [rows * columns], differ from a neighbour in what they show."""
+def _edges(met: _Met, pixel: Tensor, size: tuple[int, int]) -> Tensor:
+    """Return which pixels, bool [rows * columns], differ from a neighbour in what they show; `pixel` is each ray's."""
     planes = torch.zeros(7, size[0] * size[1], dtype=met.frame.dtype)
-    planes[:, met.which] = torch.cat((met.frame[2, :, 0], met.position[:, 0], torch.ones_like(met.position[:1, 0])))
+    planes[:, pixel[met.which]] = torch.cat((met.frame[2, :, 0], met.position[:, 0], torch.ones_like(met.position[:1, 0])))
     planes = planes.reshape(7, *size)
     edge = torch.zeros(size, dtype=torch.bool)
     for dim in (0, 1):
