@@ -392,6 +392,18 @@ def test_what_was_fitted_to_some_texels_is_within_reach_up_to_a_tenth_above():
     assert found == [True, True, False, True, False, False]
 
 
+@pytest.mark.parametrize(("bent", "helps"), [(21.0, True), (19.0, False)])
+def test_a_relief_is_judged_by_one_model_flat_and_on_it(bent, helps):
+    training = make_training(data.constant(), torch.arange(len(data.LIGHT)), 0, True, torch.float32, False)
+    climbing = climb.Climb(training, Target(psnr=40))
+    matte, glossy = (next(rung for rung in all_rungs() if rung.model == model) for model in ("lambert", "phong_srf"))
+    flat = [replace(made_up(20, (6, 6)), rung=matte), replace(made_up(25, (6, 6)), rung=glossy)]  # which stands on no relief
+    climbing.options = [*flat, replace(made_up(bent, (6, 6)), rung=matte, height=torch.zeros(1, 6, 6))]
+    assert choose._relief_helps(climbing, "distribution") == helps
+    said = [row["why"] for row in climbing.log.rows]
+    assert said == ([] if helps else ["Lambert is no truer on the relief than flat"])
+
+
 def test_costs_are_what_is_wanted():
     assert wanted_cost(Target(psnr=20)) == pytest.approx(0.01) and wanted_cost(Target(error=0.3)) == 0.3
     assert wanted_cost(Target(bytes=3)) is None

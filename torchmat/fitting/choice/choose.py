@@ -172,11 +172,19 @@ def _recovered(climb: Climb) -> Recovery | None:
 
 
 def _relief_helps(climb: Climb, model: str) -> bool:
-    """Return whether the truest of the closed forms stands on the relief."""
-    truest = min(climb.options, key=lambda option: option.cost)
-    helps = truest.height is not None
+    """Return whether the truest of the closed forms on the relief is truer there than flat.
+
+    Like beside like: what follows highlights, which no closed form on a relief does, may be truer flat than all of them, and
+    says nothing of the relief.
+    """
+    flat = {option.rung.name: option for option in climb.options if option.height is None}
+    on_relief = [option for option in climb.options if option.height is not None and option.rung.name in flat]
+    if not on_relief:
+        return False
+    truest = min(on_relief, key=lambda option: option.cost_in_full)
+    helps = truest.cost_in_full < flat[truest.rung.name].cost_in_full
     if not helps:
-        climb.log.skip(f"{model} on relief", f"{truest.name} is truer than anything on the relief")
+        climb.log.skip(f"{model} on relief", f"{flat[truest.rung.name].name} is no truer on the relief than flat")
     return helps
 
 
