@@ -34,6 +34,22 @@ def channel_order(path: str | Path, names: Sequence[str]) -> tuple[list[int], bo
     raise DataError(message(str(path), "the channels", "be Y, or R, G, B, or X, Y, Z, with A or without", fact, step))
 
 
+def numbered_order(names: Sequence[str]) -> list[int] | None:
+    """Return where channels that are numbered stand in the order of their numbers; None where they do already, or are not.
+
+    OpenImageIO calls the channels of an EXR R, G, B, A, channel4, channel5 ..., and the file keeps them sorted as texts, channel10
+    before channel4.
+    """
+    numbers = ["RGBA".find(name) if len(name) == 1 else _number_of(name) for name in names]
+    order = sorted(range(len(names)), key=numbers.__getitem__)
+    return order if sorted(numbers) == list(range(len(names))) and numbers != sorted(numbers) else None
+
+
+def _number_of(name: str) -> int:
+    number = name.removeprefix("channel")
+    return int(number) if number != name and number.isdecimal() else -1
+
+
 def rgb_of_xyz(where: str, codes: np.ndarray) -> np.ndarray:
     """Return linear Rec. 709 RGB of CIE XYZ under D65, planes [3, ...] of a floating-point type, in that type.
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, BinaryIO, NamedTuple
 import numpy as np
 
 from torchmat import atomic, icc
-from torchmat.channels import channel_order
+from torchmat.channels import channel_order, numbered_order
 from torchmat.errors import DataError, RangeError, ShapeError, message
 
 if TYPE_CHECKING:
@@ -82,13 +82,15 @@ def _check_channels(path: str | Path, names: tuple[str, ...]) -> None:
 def read_image(path: str | Path, by_profile: bool = False) -> np.ndarray:
     """Return the pixels of an image file as [H, W, C] in the type they are stored in, turned as its EXIF orientation says.
 
-    What its channels mean is not asked (`read_picture` does). uint8, uint16, float16 and float32 come through unchanged,
+    What its channels mean is not asked (`read_picture` does); those that have numbers alone come in their order. uint8, uint16, float16 and float32 come through unchanged,
     anything else as float32. `by_profile` converts colours that have an ICC profile to sRGB (`torchmat.icc.converted`).
     Raises DataError, which names the file, when it cannot be read to its end.
     """
     pixels, spec, profile = _read(path)
     if spec is not None:
         _check_channels(path, spec.channelnames)
+        order = numbered_order(spec.channelnames)
+        pixels = pixels if order is None else np.ascontiguousarray(pixels[:, :, order])
     return icc.converted(str(path), pixels, profile) if by_profile and profile else pixels
 
 

@@ -24,6 +24,14 @@ def test_round_trip(tmp_path, suffix, dtype, channels):
     assert np.array_equal(again, pixels)
 
 
+@pytest.mark.parametrize("count", [5, 11, 54])
+def test_channels_come_back_in_the_order_of_their_numbers(count, tmp_path):
+    # Sorted as texts, channel10 stands before channel4: tables of eleven columns and more came back permuted.
+    pixels = np.random.default_rng(0).random((2, 3, count), dtype=np.float32)
+    write_image(tmp_path / "a.exr", pixels)
+    assert np.array_equal(read_image(tmp_path / "a.exr"), pixels)
+
+
 @pytest.mark.parametrize("suffix", ["png", "tif"])
 def test_alpha_leaves_colours_alone(tmp_path, suffix):
     pixels = np.full((1, 2, 4), 200, dtype=np.uint8)
