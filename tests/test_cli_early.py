@@ -86,7 +86,7 @@ def test_the_names_that_are_known_early_are_those_that_there_are():
 def test_the_choices_that_are_known_early_are_those_that_the_models_take():
     assert known.CHOICES == {
         "lambert": {"normals": ("auto", *linear.NORMALS)},
-        "ptm": {"space": linear.SPACES}, "lptm": {"space": linear.SPACES},
+        "ptm": {"space": linear.SPACES}, "lptm": {"space": linear.SPACES}, "rbf": {"space": linear.SPACES},
         "hsh": {"terms": tuple(linear.HSH_TERMS), "space": linear.SPACES},
         "phong_srf": {"residual": tuple(phong_srf.RESIDUALS), "phong": tuple(phong_srf.PHONG_WAYS), "base": tuple(phong_srf.LOBES)},
         "sphere_images": {"base": tuple(to_btf.SPHERE_BASES)},

@@ -20,7 +20,7 @@ CASES = {
     "texture": ("texture", {}), "lambert": ("lambert", {}), "ptm": ("ptm", {}), "lptm": ("lptm", {}),
     "hsh4": ("hsh", {"terms": 4}), "hsh9": ("hsh", {"terms": 9}), "hsh16": ("hsh", {"terms": 16}),
     "distribution": ("distribution", {"geometry": "flat", "lobes": 2, "fresnel": True, "rotation": True, "specular_size": 12, "effort": 0.01}),
-    "sphere_images": ("sphere_images", {}), "shading_map": ("shading_map", {}), "pca": ("pca", {}), "local_pca": ("local_pca", {"clusters": 4, "components": 4}),
+    "sphere_images": ("sphere_images", {}), "shading_map": ("shading_map", {}), "pca": ("pca", {}), "rbf": ("rbf", {}), "local_pca": ("local_pca", {"clusters": 4, "components": 4}),
     **{
         f"phong_srf_{residual}_{way}_{base}": ("phong_srf", {"residual": residual, "phong": way, "base": base})
         for residual, way, base in (

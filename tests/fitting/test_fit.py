@@ -29,7 +29,7 @@ EXTRA_KEYS = {
 }
 FIGURES = {"mse", "relative_error", "psnr_db", "psnr_log_db", "ssim", "delta_e"}
 OPTIONS = {
-    "pca": {"components": 4}, "local_pca": {"clusters": 3, "components": 2},
+    "pca": {"components": 4}, "local_pca": {"clusters": 3, "components": 2}, "rbf": {"components": 6},
     "distribution": {"geometry": "flat", "lobes": 1, "fresnel": False, "rotation": False, "specular_size": 8, "effort": 0.05},
     "neural": {"geometry": "flat", "latent": 4, "hidden": 8, "effort": 0.01},
     "microfacet": {"geometry": "flat", "effort": 0.05, **PLAIN},
@@ -138,8 +138,10 @@ def test_double_precision_agrees_with_single(model, btf):
     single, double = (tm.fit(btf, model, dtype=dtype, **options) for dtype in (torch.float32, torch.float64))
     assert {value.dtype for value in maps_of(double).values()} == {torch.float64}
     chosen = torch.arange(len(btf))
-    # float32 keeps four digits of the prediction; components may differ in sign, so maps are not compared.
-    assert_close(predict(single.material, btf, chosen), predict(double.material, btf, chosen), 2e-4)
+    # float32 keeps four digits of the prediction; components may differ in sign, so maps are not compared. The coefficients of a
+    # spline cancel each other: 4.2e-4 measured, most of it the rounding of the table.
+    bound = 1e-3 if model == "rbf" else 2e-4
+    assert_close(predict(single.material, btf, chosen), predict(double.material, btf, chosen), bound)
     assert abs(single.report["held_out"]["mse"] / double.report["held_out"]["mse"] - 1) < 1e-3
 
 

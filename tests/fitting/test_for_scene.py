@@ -29,9 +29,9 @@ from torchmat.rendering import Camera, render
 from torchmat.solvers.least_squares import make_design
 
 LIGHTS, VIEWS = hemisphere(), hemisphere(((0, 1), (30, 5), (60, 7)))
-WEIGHING = ("texture", "lambert", "ptm", "lptm", "hsh", "phong_srf", "pca", "shading_map", "sphere_images")
+WEIGHING = ("texture", "lambert", "ptm", "lptm", "hsh", "phong_srf", "pca", "rbf", "shading_map", "sphere_images")
 SMALL = {
-    "pca": {"components": 3}, "local_pca": {"components": 2, "clusters": 2}, "sphere_images": {"size": 12},
+    "pca": {"components": 3}, "local_pca": {"components": 2, "clusters": 2}, "rbf": {"components": 5}, "sphere_images": {"size": 12},
     "distribution": {"geometry": "flat", "lobes": 1, "effort": 0.02, "specular_size": 12, "fresnel": False, "rotation": False},
     "neural": {"geometry": "flat", "effort": 0.02},
     "microfacet": {"geometry": "flat", "effort": 0.02, **PLAIN},

@@ -39,7 +39,7 @@ WAYS = [
     ("phong_srf", {}), ("phong_srf", {"solver": "varpro"}), ("phong_srf", {"phong": "per_light"}), ("phong_srf", {"solver": "adam"}),
     ("ptm", {"solver": tm.Adam(steps=20)}), ("ptm", {"solver": tm.LBFGS(steps=8)}), ("ptm", {"solver": tm.Minibatch(steps=30)}),
     ("ptm", {"solver": tm.Adam(steps=5), "objective": "display"}),
-    ("shading_map", {}), ("shading_map", {"joint": False}), ("pca", {"components": 4}), ("local_pca", {"clusters": 2, "components": 2}),
+    ("shading_map", {}), ("shading_map", {"joint": False}), ("pca", {"components": 4}), ("local_pca", {"clusters": 2, "components": 2}), ("rbf", {"components": 5}),
     ("sphere_images", {"size": 16}), ("neural", {"effort": 0.002}), ("distribution", {"effort": 0.01, "lobes": 2}),
 ]
 

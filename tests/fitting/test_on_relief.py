@@ -24,7 +24,7 @@ from torchmat.fitting.training import make_training
 from torchmat.geometry import Relief, normals_from_slopes
 
 OPTIONS = {
-    "pca": {"components": 8}, "local_pca": {"clusters": 4, "components": 4},
+    "pca": {"components": 8}, "rbf": {"components": 12}, "local_pca": {"clusters": 4, "components": 4},
     "distribution": {
         "lobes": 1, "fresnel": False, "rotation": False, "specular_size": 8, "effort": 0.05, "storage": "half",
     },
@@ -103,7 +103,7 @@ def test_double_precision_stays_double(model):
     assert all(value.dtype == torch.float64 for value in result.material.maps.values())
     indices = torch.arange(0, 90, 7)
     double, single = (predict(one.material, scene.btf(), indices) for one in (result, fitted(model, True)))
-    if model in ("pca", "local_pca", "neural"):
+    if model in ("pca", "local_pca", "rbf", "neural"):
         # Texels between two clusters, components of nearly one weight, and hundreds of steps through a network part
         # otherwise on the last bit: single texels differ by up to 0.27 (the network's by 0.01), the error does not.
         errors = [one.report["held_out"]["psnr_db"] for one in (result, fitted(model, True))]

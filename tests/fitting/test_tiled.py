@@ -29,7 +29,7 @@ from torchmat.fitting.tiles.work import fit_key, open_work
 from torchmat.fitting.training import make_training
 
 OPTIONS = {
-    "pca": {"components": 6}, "local_pca": {"clusters": 3, "components": 3}, "sphere_images": {"size": 12},
+    "pca": {"components": 6}, "local_pca": {"clusters": 3, "components": 3}, "rbf": {"components": 5}, "sphere_images": {"size": 12},
     "distribution": {
         "geometry": "flat", "lobes": 2, "fresnel": True, "rotation": True, "tilt": True, "specular_size": 8, "effort": 0.005,
         "storage": "half",

@@ -61,6 +61,8 @@ def small_options(model: str, samples: int, texels: int, thorough: bool = False)
     """Return options that a model can be fitted with to so little data, in little time."""
     if model == "pca":
         return {"components": min(4, samples, 3 * texels)}
+    if model == "rbf":
+        return {"components": min(6, 3 * samples, texels)}
     if model == "local_pca":
         return {"clusters": min(2, texels), "components": min(2, texels, 3 * samples)}
     if model == "distribution":  # few steps: that nothing breaks shows at once

@@ -54,7 +54,7 @@ def fits() -> dict[str, tuple[str, dict[str, Any]]]:
     from torchmat.fitting.recipe import RECIPES
 
     small = {
-        "pca": {"components": 4}, "local_pca": {"clusters": 3, "components": 3},
+        "pca": {"components": 4}, "local_pca": {"clusters": 3, "components": 3}, "rbf": {"components": 4},
         "distribution": {"lobes": 1, "fresnel": True, "rotation": True, "specular_size": 8, "effort": 0.02},
         "neural": {"latent": 2, "hidden": 4, "effort": 0.01},
         "microfacet": {"effort": 0.02, **PLAIN},

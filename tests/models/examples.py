@@ -28,6 +28,7 @@ EXAMPLE_OPTIONS: dict[str, list[dict]] = {
     ],
     "pca": [{"components": 3}],
     "local_pca": [{"clusters": 3, "components": 2}],
+    "rbf": [{"components": 2}, {"components": 3, "space": "srgb"}],
     "distribution": [
         {"lobes": 0, "parts": []},
         {"lobes": 1, "parts": ["specular_mask"]},
@@ -112,6 +113,8 @@ def _table(name: str, options: dict, spec: MapSpec) -> torch.Tensor:
         return torch.rand(spec.channels, 1, samples, dtype=torch.float64)
     if (name, spec.name) == ("local_pca", "reflectance"):
         return torch.rand(spec.channels, options["clusters"], samples, dtype=torch.float64)
+    if name == "rbf":
+        return _spline(spec)
     if (name, spec.name) == ("distribution", "specular"):
         return 0.4 * torch.rand(spec.channels, 6, 6, dtype=torch.float64)
     if name == "microfacet":
@@ -137,6 +140,19 @@ def _table(name: str, options: dict, spec: MapSpec) -> torch.Tensor:
         count = len(options["angles_deg"])
         return torch.rand(1, 1 if count < 4 else 2 * (count - 1), 3 if count < 4 else 5, dtype=torch.float64)
     pytest.fail(f"tests/models/examples.py has no example of the shared map {spec.name!r} of model {name!r}")
+
+
+def _spline(spec: MapSpec) -> torch.Tensor:
+    """Return a table of splines over five knots that bend little around mostly positive planes."""
+    if spec.name == "half_scale":
+        return torch.tensor([0.3], dtype=torch.float64)
+    if spec.name == "knots":
+        return torch.cat([directions(5, seed=seed).T for seed in (11, 12)])[:, None]
+    if spec.name == "reach":
+        return torch.tensor([-9.0, 9.0], dtype=torch.float64).repeat(spec.channels, 1, 1)
+    table = 0.02 * torch.randn(spec.channels, 1, 14, dtype=torch.float64)
+    table[..., 5] += 0.8
+    return table
 
 
 def _network(options: dict) -> list[torch.Tensor]:

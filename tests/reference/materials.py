@@ -66,6 +66,22 @@ def _local_pca(maps, options, light, view, row, column):
     return _weighted([1.0, *maps["weight"][:, row, column]], curves)
 
 
+def _rbf(maps, options, light, view, row, column):
+    """Cubed distances and a plane, in coordinates that spread the half vector: see `torchmat.models.rbf`."""
+
+    def place(light, view):
+        x, y, _ = half_vector(light, view)
+        sine = math.hypot(x, y)
+        spread = maps["half_scale"][0] * (math.asinh(10 * sine) / sine if sine > 0 else 10.0)
+        return [spread * x, spread * y, *light, *view]
+
+    here = place(light, view)
+    bends = [math.dist(here, place(knot[:3], knot[3:])) ** 3 for knot in maps["knots"][:, 0].T]
+    weights = [sum(t * w for t, w in zip([*bends, 1.0, *here], line, strict=True)) for line in maps["weight"][:, 0]]
+    weights = [min(max(w, least), most) for w, (least, most) in zip(weights, maps["reach"][:, 0], strict=True)]
+    return _in_space(options, _weighted(maps["component"][:, row, column], weights))
+
+
 def _dot(one, other):
     return sum(a * b for a, b in zip(one, other, strict=True))
 
@@ -296,7 +312,7 @@ def _microfacet(maps, options, light, view, row, column):
 
 VALUES = {
     "texture": _texture, "lambert": _lambert, "ptm": _ptm, "lptm": _lptm, "hsh": _hsh, "phong_srf": _phong_srf,
-    "pca": _pca, "local_pca": _local_pca, "distribution": _distribution,
+    "pca": _pca, "local_pca": _local_pca, "rbf": _rbf, "distribution": _distribution,
     "sphere_images": _sphere_images, "shading_map": _shading_map, "neural": _neural,
     "microfacet": _microfacet,
 }

@@ -21,7 +21,7 @@ FLAT, SPHERES = 1e-9, 1e-6  # relative squared errors; measured at most 1e-12
 
 
 def test_every_model_of_maps_has_a_shader():
-    assert set(MATERIALS) - set(SHADED) == {"pca", "local_pca", "neural"}
+    assert set(MATERIALS) - set(SHADED) == {"pca", "local_pca", "rbf", "neural"}
 
 
 def worst_error(drawing, material: Material) -> float:
@@ -82,7 +82,7 @@ def test_a_cut_out_surface_is_black_in_its_holes(drawing):
 
 
 def test_models_without_a_shader_say_so():
-    for name in ("pca", "local_pca", "neural"):
+    for name in ("pca", "local_pca", "rbf", "neural"):
         material = make(name, EXAMPLE_OPTIONS[name][0], 4, 4, torch.float32)
         assert not has_shader(material)
         with pytest.raises(RangeError, match=f"a model with a shader; {name} has none"):

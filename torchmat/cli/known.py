@@ -23,6 +23,7 @@ OPTIONS: dict[str, tuple[str, ...]] = {
     "phong_srf": ("residual", "phong", "base", "ridge", "solver", "storage", "objective"),
     "pca": ("components", "storage", "solver", "objective"),
     "local_pca": ("clusters", "components", "storage", "solver", "objective"),
+    "rbf": ("components", "space", "smoothing", "storage", "solver", "objective"),
     "sphere_images": ("pictures", "size", "base", "smoothness", "storage", "solver", "objective"),
     "shading_map": ("slices", "brdf", "overflow", "azimuths", "joint", "storage", "solver", "objective"),
     "distribution": (
@@ -50,6 +51,7 @@ CHOICES: dict[str, dict[str, tuple[object, ...]]] = {
     "ptm": {"space": ("linear", "srgb")},
     "lptm": {"space": ("linear", "srgb")},
     "hsh": {"terms": (4, 9, 16), "space": ("linear", "srgb")},
+    "rbf": {"space": ("linear", "srgb")},
     "phong_srf": {
         "residual": ("half", "half_light", "quadratic", "cosine"), "phong": ("mean_brdf", "per_light"),
         "base": ("phong", "ashikhmin_shirley"),

@@ -14,13 +14,14 @@ from torchmat.fitting.models.microfacet.recipe import MICROFACET
 from torchmat.fitting.models.neural import NEURAL
 from torchmat.fitting.models.pca import LOCAL_PCA, PCA
 from torchmat.fitting.models.phong_srf import PHONG_SRF
+from torchmat.fitting.models.rbf.recipe import RBF
 from torchmat.fitting.models.shading_map import SHADING_MAP
 from torchmat.fitting.models.spheres.to_btf import SPHERE_IMAGES
 from torchmat.fitting.recipe import AUTO, RECIPES, recipe_of, register
 from torchmat.solvers import as_solver
 
 for _recipe in (
-    TEXTURE, LAMBERT, LPTM, PTM, HSH, PHONG_SRF, PCA, LOCAL_PCA, SPHERE_IMAGES, SHADING_MAP, DISTRIBUTION, NEURAL, MICROFACET,
+    TEXTURE, LAMBERT, LPTM, PTM, HSH, PHONG_SRF, PCA, LOCAL_PCA, RBF, SPHERE_IMAGES, SHADING_MAP, DISTRIBUTION, NEURAL, MICROFACET,
 ):
     register(_recipe)
 

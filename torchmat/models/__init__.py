@@ -11,13 +11,14 @@ from torchmat.models.microfacet import Microfacet
 from torchmat.models.neural import Neural
 from torchmat.models.pca import LocalPca, Pca
 from torchmat.models.phong_srf import PhongSrf
+from torchmat.models.rbf import Rbf
 from torchmat.models.shading_map import ShadingMap
 from torchmat.models.sphere_images import SphereImages
 
 MATERIALS: dict[str, type[Material]] = {
     model.name: model
     for model in (
-        Texture, Lambert, Ptm, Lptm, Hsh, PhongSrf, Pca, LocalPca, Distribution, ShadingMap, SphereImages, Neural, Microfacet,
+        Texture, Lambert, Ptm, Lptm, Hsh, PhongSrf, Pca, LocalPca, Rbf, Distribution, ShadingMap, SphereImages, Neural, Microfacet,
     )
 }
 
@@ -32,6 +33,6 @@ def register_material(kind: type[Material]) -> None:
 
 __all__ = [
     "MATERIALS", "Distribution", "Hsh", "Lambert", "LocalPca", "Lptm", "Material", "Microfacet", "Neural", "Pca", "PhongSrf", "Ptm",
-    "ShadingMap", "SphereImages", "Texture", "add_part", "blend", "can_compile", "compiled", "drop_part", "register_material",
+    "Rbf", "ShadingMap", "SphereImages", "Texture", "add_part", "blend", "can_compile", "compiled", "drop_part", "register_material",
     "replace_map",
 ]

@@ -80,33 +80,17 @@ class Lambert(Material):
         return self.maps["albedo"] * n_dot_l.clamp(min=0)
 
 
-class Relightable(Material):
-    """A model of reflectance transformation imaging: a sum over functions of the light, in a `space` of its own.
+class InSpace(Material):
+    """A sum that lies in a `space`: "linear", or "srgb", where the sum is a code of a screen.
 
-    `space` is "linear", or "srgb": the sum is a code, of which 1 is white; below 0 it is black, and above 1 the curve goes on,
-    for measured values may. `code_range` is of a material that was read from 8-bit codes: the values (low, high) that code 0 and
-    code 255 stand for, for each channel of its maps, by which it is written with the same codes again.
+    A code of 1 is white; below 0 it is black, and above 1 the curve goes on, for measured values may.
     """
 
     bright_at_horizon = True
 
-    def __init__(
-        self, maps: Mapping[str, Tensor], *, space: str = LINEAR, code_range: Sequence[Sequence[float]] | None = None,
-        **settings: Any,
-    ) -> None:
+    def __init__(self, maps: Mapping[str, Tensor], *, space: str = LINEAR, **settings: Any) -> None:
         check_option(self.name, "space", space, SPACES)
-        known: dict[str, Any] = {} if code_range is None else {"code_range": [list(pair) for pair in code_range]}
-        super().__init__(maps, space=space, **known, **settings)
-        self._check_code_range()
-
-    def _check_code_range(self) -> None:
-        pairs, count = self.options.get("code_range"), sum(spec.channels for spec in self.own_specs())
-        if pairs is None:
-            return
-        fits = len(pairs) == count and all(len(pair) == 2 and all(map(math.isfinite, pair)) for pair in pairs)
-        if not fits:
-            fact = f"it has {len(pairs)} entries, or some that are something else"
-            raise RangeError(message(self.name, "code_range", f"hold {count} pairs of finite numbers", fact))
+        super().__init__(maps, space=space, **settings)
 
     def in_codes(self) -> Self | None:
         if self._is_linear:
@@ -119,6 +103,31 @@ class Relightable(Material):
     @property
     def _is_linear(self) -> bool:
         return self.options["space"] == LINEAR
+
+
+class Relightable(InSpace):
+    """A model of reflectance transformation imaging: a sum over functions of the light, in a `space` of its own.
+
+    `code_range` is of a material that was read from 8-bit codes: the values (low, high) that code 0 and
+    code 255 stand for, for each channel of its maps, by which it is written with the same codes again.
+    """
+
+    def __init__(
+        self, maps: Mapping[str, Tensor], *, space: str = LINEAR, code_range: Sequence[Sequence[float]] | None = None,
+        **settings: Any,
+    ) -> None:
+        known: dict[str, Any] = {} if code_range is None else {"code_range": [list(pair) for pair in code_range]}
+        super().__init__(maps, space=space, **known, **settings)
+        self._check_code_range()
+
+    def _check_code_range(self) -> None:
+        pairs, count = self.options.get("code_range"), sum(spec.channels for spec in self.own_specs())
+        if pairs is None:
+            return
+        fits = len(pairs) == count and all(len(pair) == 2 and all(map(math.isfinite, pair)) for pair in pairs)
+        if not fits:
+            fact = f"it has {len(pairs)} entries, or some that are something else"
+            raise RangeError(message(self.name, "code_range", f"hold {count} pairs of finite numbers", fact))
 
 
 def _from_codes(code: Tensor) -> Tensor:

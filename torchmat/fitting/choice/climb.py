@@ -8,6 +8,7 @@ from weakref import WeakKeyDictionary
 
 from torch import Tensor
 
+from torchmat.errors import FitError
 from torchmat.fitting.choice.candidate import Option, fit_flat_rung, fit_rung
 from torchmat.fitting.choice.decisions import Decisions, gain_db
 from torchmat.fitting.choice.examine import Examiner, of_some_texels
@@ -117,8 +118,12 @@ class Climb:
         if self._cannot_pay(rung, height):
             return
         start = self.watch.seconds
-        with working(f"trying {named(rung, height)}", self.training.progress):
-            fitted = fit_rung(self.part, rung, height)
+        try:
+            with working(f"trying {named(rung, height)}", self.training.progress):
+                fitted = fit_rung(self.part, rung, height)
+        except FitError as error:  # more components than few samples determine
+            self.log.skip(named(rung, height), str(error))
+            return
         self._consider(rung, fitted, start, height)
 
     def gain(self, before: Option, after: Option) -> float:

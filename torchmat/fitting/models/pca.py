@@ -4,94 +4,20 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Callable
 
 import torch
 from torch import Tensor
 
-from torchmat import safe
-from torchmat.errors import FitError, RangeError, message
+from torchmat.fitting.models.image_matrix import OVERSAMPLING, ImageMatrix, leading, range_finder, require_at_most
 from torchmat.fitting.recipe import Recipe, Tiling
 from torchmat.fitting.shared import Shared
 from torchmat.fitting.training import Fitted, Training
 from torchmat.models import LocalPca, Pca
 from torchmat.models.angular import projected
-from torchmat.repeatable import add_product, one_thread, orthonormal, product
+from torchmat.repeatable import add_product, one_thread, product
 
-_OVERSAMPLING = 10  # extra directions of the random projection (Halko, Martinsson, Tropp 2011)
-_POWER_STEPS = 2
-_KEEP_VALUES = 64_000_000  # training images up to this many values (256 MB) are decoded once and kept
 _LLOYD_STEPS = 30
 _RESTARTS = 2
-_LEAST_COUNT = 1e-6  # of the mean
-
-
-class _Images:
-    """The training images as a matrix, in runs of rows; samples of weight 0 hold their texel's mean.
-
-    Clipped samples stay as they are: a factorisation has no weights, and the mean would put out their highlights.
-    """
-
-    def __init__(self, training: Training, keep: bool = True) -> None:
-        self.training = training
-        self.rows = training.used.nonzero()[:, 0]
-        counts = None if training.importance is None else training.importance[self.rows]
-        # What counts nothing is still divided by: it stays below what a float of the others holds.
-        self._root = None if counts is None else counts.clamp(min=_LEAST_COUNT).sqrt().to(training.dtype)
-        btf = training.btf
-        self.texels = btf.height * btf.width
-        self._mean = self._texel_mean() if btf.mask is not None or btf.invalid_share > 0 or btf.clipped_share > 0 else None
-        small = keep and len(self.rows) * 3 * self.texels <= _KEEP_VALUES
-        self._kept = [(s, images.clone()) for s, images in self._read()] if small else None
-
-    def _texel_mean(self) -> Tensor:
-        total = torch.zeros(3, self.training.btf.height, self.training.btf.width, dtype=torch.float64)
-        weight = torch.zeros(1, *total.shape[1:], dtype=torch.float64)
-        for block in self.training.btf.blocks(self.training.used, self.training.dtype, self.training.progress):
-            used = self.training.used[block.samples.start : block.samples.stop, None, None, None]
-            share = used * (torch.ones(1, 1, 1, 1) if block.weight is None else block.weight)
-            total += (block.images * share).sum(dim=0)
-            weight += share.sum(dim=0).expand_as(weight)
-        return safe.divide(total, weight.expand_as(total)).to(self.training.dtype)
-
-    def _read(self):
-        start = 0
-        for block in self.training.btf.blocks(self.training.used, self.training.dtype, self.training.progress):
-            used = self.training.used[block.samples.start : block.samples.stop]
-            images = block.images
-            if block.weight is not None:
-                assert self._mean is not None
-                images = torch.where(block.weight > 0, images, self._mean)
-            images = images[used]
-            if self._root is not None:
-                images = images * self._root[start : start + len(images), None, None, None]
-            yield slice(start, start + len(images)), images
-            start += len(images)
-
-    def plain(self, table: Tensor) -> Tensor:
-        """Return a table [sample, ...] of the matrix as that of the images, whose rows were not weighed."""
-        return table if self._root is None else table / self._root.reshape(-1, *[1] * (table.ndim - 1))
-
-    def weighed(self, table: Tensor) -> Tensor:
-        """Return a table [sample, ...] of the images as that of the matrix, the reverse of `plain`."""
-        return table if self._root is None else table * self._root.reshape(-1, *[1] * (table.ndim - 1))
-
-    def runs(self):
-        """Yield (rows of the matrix, images [k, 3, texels]); with `importance` a row is weighed by its root."""
-        for rows, images in self._kept if self._kept is not None else self._read():
-            yield rows, images.flatten(2)
-
-
-def _range_finder(
-    times: Callable[[Tensor], Tensor], transposed: Callable[[Tensor], Tensor], columns: int, rank: int,
-    generator: torch.Generator, dtype: torch.dtype,
-) -> tuple[Tensor, Tensor]:
-    """Return an orthonormal range [rows, r] of a matrix given by its products, and range^T matrix, [r, columns]."""
-    probe = torch.randn(columns, rank, generator=generator, dtype=dtype)
-    found = orthonormal(times(probe))
-    for _ in range(_POWER_STEPS - 1):
-        found = orthonormal(times(orthonormal(transposed(found))))
-    return found, transposed(found).T
 
 
 def fit_pca(training: Training, *, components: int = 16, storage: str = "half") -> Fitted:
@@ -102,9 +28,9 @@ def fit_pca(training: Training, *, components: int = 16, storage: str = "half") 
     """
     if training.table("weight") is not None:
         return _pca_of(training, components, storage)
-    images = _Images(training)
+    images = ImageMatrix(training)
     count = len(images.rows)
-    _require("components", components, min(count, 3 * images.texels))
+    require_at_most("components", components, min(count, 3 * images.texels))
     width = 3 * images.texels
 
     def times(right: Tensor) -> Tensor:
@@ -116,14 +42,14 @@ def fit_pca(training: Training, *, components: int = 16, storage: str = "half") 
             add_product(total, part.flatten(1), left[rows])
         return total
 
-    rank = min(components + _OVERSAMPLING, count, width)
+    rank = min(components + OVERSAMPLING, count, width)
     generator = torch.Generator().manual_seed(training.seed)
-    found, rest = _range_finder(times, transposed, width, rank, generator, training.dtype)
-    leading = _leading(rest, components)
+    found, rest = range_finder(times, transposed, width, rank, generator, training.dtype)
+    along = leading(rest, components)
     # Images are projected, not taken from the SVD: a dark texel beside a highlight of 1e6 times keeps its digits.
     maps = {
-        "component": product(leading.T, rest).reshape(-1, training.btf.height, training.btf.width),
-        "weight": images.plain(product(found, leading)).T[:, None].contiguous(),
+        "component": product(along.T, rest).reshape(-1, training.btf.height, training.btf.width),
+        "weight": images.plain(product(found, along)).T[:, None].contiguous(),
         "directions": _directions(training, images.rows),
     }
     material = _balanced(Pca, maps, ("component", "weight"), components=components, storage=storage)
@@ -139,7 +65,7 @@ def _known(training: Training, names: tuple[str, ...]) -> dict[str, Tensor]:
 def _pca_of(training: Training, components: int, storage: str) -> Fitted:
     """Return the PCA whose weights are known already: each texel is projected onto them, in one pass."""
     maps = _known(training, ("weight", "directions"))
-    images = _Images(training, keep=False)
+    images = ImageMatrix(training, keep=False)
     weight = images.weighed(maps["weight"][:, 0].T).T.double()
     with one_thread():
         ways = torch.linalg.pinv(weight).to(training.dtype)  # [sample, components]
@@ -148,13 +74,6 @@ def _pca_of(training: Training, components: int, storage: str) -> Fitted:
         add_product(total, ways[rows], part.flatten(1))
     maps["component"] = total.reshape(-1, training.btf.height, training.btf.width)
     return Fitted(Pca(maps, components=components, storage=storage))
-
-
-def _leading(matrix: Tensor, count: int) -> Tensor:
-    """Return the leading left singular vectors [r, count] of a wide matrix [r, n], by QR of its transpose."""
-    with one_thread():
-        triangle = torch.linalg.qr(matrix.T, mode="r").R
-        return torch.linalg.svd(triangle.T.double()).U[:, :count].to(matrix.dtype)
 
 
 def _thin_svd(matrix: Tensor) -> tuple[Tensor, Tensor, Tensor]:
@@ -180,14 +99,6 @@ def _directions(training: Training, rows: Tensor) -> Tensor:
     return found.T[:, None].to(training.dtype).contiguous()
 
 
-def _require(name: str, value: int, most: int) -> None:
-    if value < 1:
-        raise RangeError(message("fit", name, "be at least 1", f"it is {value}"))
-    if value > most:
-        step = f"Use at most {most}."
-        raise FitError(message("fit", name, "not exceed what the data determines", f"it is {value} of {most}", step))
-
-
 def fit_local_pca(
     training: Training, *, clusters: int = 8, components: int = 8, storage: str = "half"
 ) -> Fitted:
@@ -202,10 +113,10 @@ def fit_local_pca(
     """
     if training.table("reflectance") is not None:
         return _local_pca_of(training, clusters, components, storage)
-    images = _Images(training)
+    images = ImageMatrix(training)
     count = len(images.rows)
-    _require("clusters", clusters, images.texels)
-    _require("components", components, min(images.texels, 3 * count))
+    require_at_most("clusters", clusters, images.texels)
+    require_at_most("components", components, min(images.texels, 3 * count))
 
     def times(right: Tensor) -> Tensor:  # right [3 sample, r] -> [texel, r]
         total = torch.zeros(images.texels, right.shape[1], dtype=right.dtype)
@@ -219,7 +130,7 @@ def fit_local_pca(
 
     generator = torch.Generator().manual_seed(training.seed)
     rank = min(max(4 * (components + 1), 96), images.texels, 3 * count)
-    found, rest = _range_finder(times, transposed, 3 * count, rank, generator, training.dtype)
+    found, rest = range_finder(times, transposed, 3 * count, rank, generator, training.dtype)
     left, singular, right = _thin_svd(rest)
     points = (product(found, left) * singular).double()
     known = training.btf.inside
@@ -244,7 +155,7 @@ def fit_local_pca(
 def _local_pca_of(training: Training, clusters: int, components: int, storage: str) -> Fitted:
     """Return the local PCA whose tables are known already: each texel takes the nearest cluster's, in one pass."""
     maps = _known(training, ("reflectance", "directions"))
-    images = _Images(training, keep=False)
+    images = ImageMatrix(training, keep=False)
     table = images.weighed(maps["reflectance"].permute(2, 0, 1)).unflatten(1, (1 + components, 3))
     table = table.permute(3, 1, 0, 2)  # cluster, row, sample, colour
     rows_of_tables = table.flatten(0, 1)
