@@ -136,6 +136,15 @@ def test_matte_spheres_and_photographs_without_paper_are_named(tmp_path, taken):
     assert any("photo_02.png" in note for note in found.steps[0].notes) and np.isnan(found.light[1]).all()
 
 
+def test_a_photograph_with_a_shadow_on_the_board_is_named(tmp_path, taken):
+    shaded = dataclasses.replace(taken[1], pixels=taken[1].pixels.copy())
+    shaded.pixels[:, :420] //= 2  # half of the light in sRGB codes, over half of the paper
+    found = photometry(scene_of(tmp_path, STUDIO, [taken[0], shaded, taken[2], taken[3]]))
+    assert found.keep == [True, False, True, True] and "photo_02.png: the board's white paper must be lit as its lamp explains" in found.faults[1]
+    assert max(np.abs(scale_errors(found, index, taken[index])).max() for index in (0, 2, 3)) < 0.04
+    assert any("photo_02.png" in note for note in found.steps[0].notes)
+
+
 def test_the_flash_beside_the_lens_without_spheres(tmp_path):
     board = Board(spheres=0)
     studio = dataclasses.replace(STUDIO, board=board)

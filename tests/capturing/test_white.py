@@ -9,6 +9,7 @@ from tests.capturing.shots import Lamp, Lens, shots_around
 
 from torchmat.capturing.board import Board
 from torchmat.capturing.evenness import fit_courses, flat_field
+from torchmat.capturing.sheen import mirrored
 from torchmat.capturing.light import Light
 from torchmat.capturing.paper import patch_points, read_paper, white_points
 from torchmat.capturing.view import Camera, Pose
@@ -46,7 +47,7 @@ def papers():
 
 
 def test_vignetting_is_told_from_light_that_is_stronger_to_one_side(papers):
-    courses, vignetting = fit_courses(SIZE, *papers)
+    courses, vignetting, _ = fit_courses(SIZE, *papers)
     corners = np.array([[0.0, 0], [899, 0], [450, 300]])
     assert vignetting.at(corners) == pytest.approx(fall(corners), abs=0.015) and vignetting.corner == pytest.approx(1 - LOST, abs=0.015)
     assert vignetting.sigma < 0.1
@@ -62,12 +63,48 @@ def test_vignetting_that_is_known_is_divided_out(papers):
     even = fall(np.stack((columns, rows), axis=-1))
     known = flat_field(torch.from_numpy(0.6 * even).float().expand(3, -1, -1), torch.zeros(even.shape, dtype=torch.bool))
     assert known.corner == pytest.approx(1 - LOST, abs=2e-3)
-    courses, same = fit_courses(SIZE, *papers, known)
+    courses, same, _ = fit_courses(SIZE, *papers, known)
     assert same is known and courses[2].level == pytest.approx(0.9 * 1.2 * np.array([0.5, 0.7, 0.4]), rel=0.005)
     planes = torch.from_numpy(even).expand(3, -1, -1)
     assert float((known.taken_out(planes) - 1).abs().max()) < 2e-3
     with pytest.raises(RangeError, match="have the size of the flat field"):
         known.taken_out(planes[..., 1:])
+
+
+@pytest.mark.parametrize(("strength", "exponent"), [(0.0, 40), (0.3, 40), (0.4, 28)])
+def test_paper_that_is_glossy_tells_white_all_the_same(strength, exponent):
+    """By hand: gloss over matte is s (n . h)^e / (n . l); a third more light on half of the paper would be levels a tenth too high."""
+    lamps = [Lamp((x, y, 400.0)) for x, y in [(-200, 50), (150, 200), (0, -250), (220, -60), (-90, 180), (30, 20)]]
+    points, pixels, values, expected, mirror = [], [], [], [], []
+    for number, shot in enumerate(shots_around([30, 35, 25, 40, 20, 30], [10, 230, 90, 160, 300, 200], 420, lamps)):
+        camera, pose = Camera(LENS.matrix, np.array(LENS.distortion), SIZE), Pose(shot.rotation, shot.translation)
+        place = white_points(BOARD)[::3]
+        at = pose.project(camera, place)
+        place, at = (one[((at > 0) & (at < np.array(SIZE) - 1)).all(1)] for one in (place, at))
+        light = Light(np.array([0, 0, 1.0]), 1, np.array(shot.lamp.position))
+        towards, view = (np.array(one) - place for one in (shot.lamp.position, shot.position))
+        towards, view = (one / np.linalg.norm(one, axis=1, keepdims=True) for one in (towards, view))
+        half = (towards + view) / np.linalg.norm(towards + view, axis=1, keepdims=True)
+        lit = 0.9 * light.irradiance(place) * (1 + strength * half[:, 2] ** exponent / towards[:, 2])
+        noisy = lit * fall(at) * (1 + 0.005 * np.random.default_rng(number).standard_normal(len(lit)))
+        points.append(place), pixels.append(at), expected.append(light.irradiance(place)), values.append(np.tile(noisy[:, None], 3))
+        mirror.append(mirrored(pose, light, place))
+    courses, _, sheen = fit_courses(SIZE, points, pixels, values, expected, mirror=mirror)
+    assert np.stack([course.level for course in courses]) == pytest.approx(np.full((6, 3), 0.9), rel=0.02)
+    assert (sheen is None) == (strength == 0)
+    if sheen is not None:
+        assert 0.7 * exponent < sheen.exponent < 1.5 * exponent and sheen.strength == pytest.approx(strength, rel=0.2)
+        plain = fit_courses(SIZE, points, pixels, values, expected)[0]
+        assert max(abs(course.level[0] / 0.9 - 1) for course in plain) > 0.05  # what it would be without
+
+
+def test_a_highlight_or_a_lamp_beside_is_no_flat_field():
+    rows, columns = torch.meshgrid(torch.linspace(-1, 1, 120), torch.linspace(-1.5, 1.5, 180), indexing="ij")
+    clear, lens = torch.zeros(120, 180, dtype=torch.bool), 0.6 * (1 - 0.1 * (rows**2 + columns**2))
+    assert flat_field((lens * (1 + 0.01 * columns)).expand(3, -1, -1), clear).corner < 0.75
+    for uneven in (1 + 0.15 * columns, 1 + 0.2 * torch.exp(-((columns - 0.5) ** 2 + rows**2) / 0.5)):
+        with pytest.raises(RangeError, match="flat field: the photograph must be evenly lit; about pixel"):
+            flat_field((lens * uneven).expand(3, -1, -1), clear)
 
 
 def test_what_is_no_flat_field_is_refused():

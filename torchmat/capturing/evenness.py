@@ -9,11 +9,13 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from torchmat.capturing.sheen import Sheen, find_sheen
 from torchmat.errors import RangeError, message
 
 _ORDERS = 3  # r^2, r^4, r^6
 _DEGREE = 6  # of a flat field's polynomial
 _BLOCKS = 48  # along the longer side of a flat field
+_LOPSIDED = 0.08  # of a flat field's logarithm, beside a course about the middle: more is a lamp's, or a highlight
 _ROUNDS = 12
 _TUKEY = 4.0
 _DARKEST = 1e-6
@@ -73,7 +75,8 @@ def vignetting_terms(size: tuple[int, int], pixels: np.ndarray, radial: bool) ->
 def flat_field(linear: Tensor, clipped: Tensor) -> Vignetting:
     """Return the vignetting that a photograph [3, H, W] of evenly lit white shows, as a polynomial of degree 6 of its logarithm.
 
-    Raises RangeError when it is clipped, dark, or no even white (more than a tenth of it deviates by more than 5 %).
+    Raises RangeError when it is clipped, dark, or no even white: more than a tenth of it deviates by more than 5 %, or it is somewhere
+    8 % beside what is alike all around the middle, as a highlight or a lamp beside makes it.
     """
     height, width = clipped.shape
     if float(clipped.float().mean()) > 0.001:
@@ -92,6 +95,15 @@ def flat_field(linear: Tensor, clipped: Tensor) -> Vignetting:
     if share > 0.1:
         fact, hint = f"{share:.0%} of it deviates from a smooth course by more than 5 %", "Photograph bare paper, out of focus, in even light."
         raise RangeError(message("flat field", "the photograph", "be of even white", fact, hint))
+    centred = np.column_stack((np.ones(len(level)), vignetting_terms((width, height), pixels, True)))
+    smooth = design @ weights
+    beside = smooth - centred @ _robust(centred, smooth)[0]
+    worst = int(np.abs(beside).argmax())
+    if np.abs(beside[worst]) > _LOPSIDED:
+        column, row = pixels[worst].round().astype(int)
+        fact = f"about pixel ({column}, {row}) it is {100 * (np.exp(beside[worst]) - 1):+.0f} % beside what a lens does, which is alike all around"
+        hint = "Photograph bare matte paper in even light, without a highlight or a shadow, or leave it out: the board's paper tells vignetting too."
+        raise RangeError(message("flat field", "the photograph", "be evenly lit", fact, hint))
     return Vignetting((width, height), weights[1:], False, float(off.std() / np.sqrt(len(off) / design.shape[1])), "a flat field")
 
 
@@ -124,9 +136,10 @@ class Course:
 
 def fit_courses(
     size: tuple[int, int], points: Sequence[np.ndarray], pixels: Sequence[np.ndarray], values: Sequence[np.ndarray], expected: Sequence[np.ndarray],
-    known: Vignetting | None = None, sloped: bool = True,
-) -> tuple[list[Course], Vignetting | None]:
-    """Return how each photograph's paper is lit, and the vignetting that all share (None where the paper does not reach far enough).
+    known: Vignetting | None = None, sloped: bool = True, mirror: Sequence[np.ndarray] | None = None,
+) -> tuple[list[Course], Vignetting | None, Sheen | None]:
+    """Return how each photograph's paper is lit, the vignetting that all share (None where the paper does not reach far enough), and the
+    paper's gloss (None where it has none).
 
     The logarithm of a photograph's paper is a_j + g_j . (x, y) + v1 r^2 + v2 r^4 + v3 r^6 beside the irradiance that its lamp
     explains: a level and a slope of each photograph, and one course of the radius, by robust least squares together. What
@@ -139,6 +152,7 @@ def fit_courses(
         expected: the irradiance [n_j] there by the lamp, 1 in the window's middle across the light.
         known: vignetting that is known; it is then divided out, and none is looked for.
         sloped: whether light may be stronger to one side.
+        mirror: cosines [n_j, 2] that gloss depends on there (`mirrored`); None takes paper for matte.
     """
     counts = [len(one) for one in points]
     where, pixel = np.repeat(np.arange(len(counts)), counts), np.concatenate(pixels)
@@ -155,6 +169,9 @@ def fit_courses(
         design[np.arange(len(place)), where * own.shape[1] + column] = own[:, column]
     if seeks:
         design[:, -_ORDERS:] = radial
+    sheen = None if mirror is None else find_sheen(design, colours.mean(1), where, np.concatenate(mirror))
+    if sheen is not None and mirror is not None:
+        colours = colours - np.log(sheen.at(np.concatenate(mirror)))[:, None]
     prior = np.zeros(design.shape[1])
     if seeks:
         prior[-_ORDERS:] = 1 / LENSES**2
@@ -165,7 +182,7 @@ def fit_courses(
         colours = colours - (radial @ found[-_ORDERS:])[:, None]
     slopes = found[: len(counts) * own.shape[1]].reshape(len(counts), -1)[:, 1:] / 100
     slopes = slopes if sloped else np.zeros((len(counts), 2))
-    return [_course(colours[where == j], place[where == j] * 100, off[where == j], slopes[j]) for j in range(len(counts))], known
+    return [_course(colours[where == j], place[where == j] * 100, off[where == j], slopes[j]) for j in range(len(counts))], known, sheen
 
 
 def _course(colours: np.ndarray, place: np.ndarray, off: np.ndarray, slope: np.ndarray) -> Course:

@@ -8,10 +8,11 @@ from typing import NamedTuple
 import numpy as np
 
 from torchmat.capturing.outline import Placed, outline, refined_centre
-from torchmat.capturing.paper import Reading, patch_points, read_paper, white_points
+from torchmat.capturing.paper import Reading, patch_points, read_paper, sample_points, white_points
 from torchmat.capturing.scene import Scene
 from torchmat.progress import progress
 
+CELLS, FINE = 128, 3  # along a side of the window, and points along a side of each cell
 _ROOM = 0.4  # of a sphere's size around its cut-out: it may stand beside its place
 
 
@@ -25,29 +26,34 @@ class Cutout(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Observed:
-    """What one photograph shows: its `paper` at the board's white points, its `white` and `grey` patches, and of each sphere
-    the cut-out (None: outside of the picture) and where it stands; `notes` on how its file was read."""
+    """What one photograph shows: its `paper` at the board's white points, its `white` and `grey` patches, the `sample` where that is
+    asked for, and of each sphere the cut-out (None: outside of the picture) and where it stands; `notes` on how its file was read."""
 
     paper: Reading
     white: Reading
     grey: Reading
+    sample: Reading
     spheres: tuple[Cutout | None, ...]
     placed: tuple[Placed | None, ...]
     notes: tuple[str, ...]
 
 
 class Places(NamedTuple):
-    """The points of a board at which photographs are read, in mm: `paper`, `white` and `grey` [n, 3]."""
+    """The points of a board at which photographs are read, in mm: `paper`, `white`, `grey` and `sample` [n, 3], these in rows from the
+    top, `FINE` x `FINE` of them in each of `CELLS` x `CELLS` cells; none where the sample is not read."""
 
     paper: np.ndarray
     white: np.ndarray
     grey: np.ndarray
+    sample: np.ndarray
 
 
-def places_of(scene: Scene) -> Places:
-    """Return where the photographs of a scene are read."""
+def places_of(scene: Scene, sample: bool = False) -> Places:
+    """Return where the photographs of a scene are read; `sample` says that the sample is, too."""
     board = scene.board
-    return Places(white_points(board), *(patch_points(board, name).reshape(-1, 3) for name in ("white", "grey")))
+    points = sample_points(board, CELLS * FINE) if sample else np.zeros((0, 3))
+    white, grey = (patch_points(board, name).reshape(-1, 3) for name in ("white", "grey"))
+    return Places(white_points(board), white, grey, points)
 
 
 def observe(scene: Scene, places: Places, show: bool | None = None) -> list[Observed]:
@@ -60,7 +66,7 @@ def _observed(scene: Scene, places: Places, index: int) -> Observed:
     developed = scene.photographs[index].developed()
     linear, clipped = developed.linear.numpy(), developed.clipped.numpy()
     radius = board.diameter / 2
-    paper, white, grey = (read_paper(linear, clipped, camera, pose, points, board.sphere_centres, radius) for points in places)
+    paper, white, grey, sample = (read_paper(linear, clipped, camera, pose, points, board.sphere_centres, radius) for points in places)
     cutouts: list[Cutout | None] = []
     placed: list[Placed | None] = []
     for centre in board.sphere_centres:
@@ -78,4 +84,4 @@ def _observed(scene: Scene, places: Places, index: int) -> Observed:
         part = np.ascontiguousarray(linear[:, *window])
         cutouts.append(Cutout(low, part, clipped[window].copy()))
         placed.append(refined_centre(part.mean(0), camera, pose, centre, radius, board.reflectance, low))
-    return Observed(paper, white, grey, tuple(cutouts), tuple(placed), developed.notes)
+    return Observed(paper, white, grey, sample, tuple(cutouts), tuple(placed), developed.notes)

@@ -52,6 +52,15 @@ def patch_points(board: Board, name: str) -> np.ndarray:
     return np.stack((x, y, np.zeros_like(x)), axis=-1)
 
 
+def sample_points(board: Board, count: int) -> np.ndarray:
+    """Return count x count points [n, 3] in mm in the largest square of the window, away from its rim, in rows from the top."""
+    left, bottom, right, top = board.window
+    half = min(right - left, top - bottom) / 2 - _EDGE / 2
+    place = ((np.arange(count) + 0.5) / count * 2 - 1) * half
+    x, y = np.meshgrid(place, -place)
+    return np.stack((x.ravel(), y.ravel(), np.zeros(count**2)), axis=1)
+
+
 def read_paper(
     linear: np.ndarray, clipped: np.ndarray, camera: Camera, pose: Pose, points: np.ndarray, spheres: np.ndarray, radius: float
 ) -> Reading:

@@ -12,13 +12,14 @@ from torch import Tensor
 
 from torchmat.capturing.board import WHITE
 from torchmat.capturing.chart import Colour, colour_of_chart
-from torchmat.capturing.evenness import Course, Vignetting, fit_courses, flat_field, vignetting_terms
+from torchmat.capturing.evenness import Course, Vignetting, fit_courses, flat_field
 from torchmat.capturing.light import Light, blocked
 from torchmat.capturing.lights import flash, lights_of_table
 from torchmat.capturing.observe import Observed, Places, observe, places_of
 from torchmat.capturing.photographs import photograph
 from torchmat.capturing.scene import Scene, Step
-from torchmat.capturing.shading import lamps_of_shading
+from torchmat.capturing.shading_lights import lights_of_shading
+from torchmat.capturing.sheen import Sheen, mirrored
 from torchmat.capturing.sphere_lights import SphereLights, lights_of_spheres
 from torchmat.capturing.told import colour_step, lights_step, vignetting_step, white_step
 from torchmat.capturing.white import White, calibrate_white
@@ -28,6 +29,7 @@ LIGHTS = ("auto", "spheres", "flash", "shading")
 _LEAST_PAPER = 30  # points of white paper in a photograph
 _UNEXPLAINED = 0.2  # relative, in a corner of the window: light that is so much stronger there comes from elsewhere
 _DEVIATES = 0.025  # relative rms of paper about what lamps, lens and a slope explain
+_STRAY = 2.5  # times the usual deviation, of a photograph that is left out
 _LEAST_PATCH = 0.5  # of a patch's points that must be good
 
 
@@ -127,11 +129,11 @@ def photometry(scene: Scene, options: PhotometryOptions | None = None, show: boo
     options = options or PhotometryOptions()
     if not isinstance(options.lights, Path) and not Path(options.lights).suffix:
         check_option("capture", "lights", options.lights, LIGHTS)
-    places = places_of(scene)
     known = None if options.flat is None else _flat(options)
     colour = None if options.chart is None else colour_of_chart(options.chart, options.chart_corners, options.encoding)
-    observed = observe(scene, places, show)
     kind = options.lights if options.lights != "auto" else ("spheres" if scene.board.spheres else "shading")
+    places = places_of(scene, sample=kind == "shading")
+    observed = observe(scene, places, show)
     found = lights_of_spheres(scene, observed) if kind == "spheres" else None
     lights, faults = (found.lights, found.faults) if found else _other_lights(scene, options, kind, places, observed, known)
     spheres = np.array([one.centre for one in found.standing]) if found else scene.board.sphere_centres
@@ -139,16 +141,20 @@ def photometry(scene: Scene, options: PhotometryOptions | None = None, show: boo
     if all(faults):
         fact, step = f"the first of {len(faults)}: {faults[0]}", "Give the lights, or see what each photograph lacks."
         raise FitError(message("capture", "photographs", "have a light that can be found", fact, step))
-    courses, vignetting = _courses(scene, options, places, observed, lights, faults, spheres, known)
+    courses, vignetting, sheen = _courses(scene, options, places, observed, lights, faults, spheres, known)
     _check_explained(scene, courses, faults)
-    whites = _whites(scene, options, places, observed, lights, courses, vignetting, faults, spheres)
+    strays = _strays(scene, courses, faults)
+    if any(strays):
+        faults = [fault or stray for fault, stray in zip(faults, strays, strict=True)]
+        courses, vignetting, sheen = _courses(scene, options, places, observed, lights, faults, spheres, known)
+    whites = _whites(scene, options, places, observed, lights, courses, vignetting, sheen, faults, spheres)
     calibrated = Calibrated(lights, faults, courses, vignetting, whites, colour, spheres, scene.board.diameter / 2)
-    return _with_steps(calibrated, scene, observed, found)
+    return _with_steps(calibrated, scene, observed, found, sheen)
 
 
-def _with_steps(one: Calibrated, scene: Scene, observed: Sequence[Observed], found: SphereLights | None) -> Calibrated:
+def _with_steps(one: Calibrated, scene: Scene, observed: Sequence[Observed], found: SphereLights | None, sheen: Sheen | None) -> Calibrated:
     notes = sorted({note for some in observed for note in some.notes})
-    steps = [lights_step(scene, one.lights, one.faults, found, observed), vignetting_step(scene, one.vignetting, one.courses, one.faults)]
+    steps = [lights_step(scene, one.lights, one.faults, found, observed), vignetting_step(scene, one.vignetting, one.courses, one.faults, sheen)]
     steps += [white_step(scene, one.whites, one.courses, one.faults, notes)] + ([] if one.colour is None else [colour_step(one.colour)])
     return Calibrated(one.lights, one.faults, one.courses, one.vignetting, one.whites, one.colour, one.spheres, one.radius, tuple(steps))
 
@@ -169,14 +175,7 @@ def _other_lights(
     if kind != "shading":
         given: list[Light | None] = list(lights_of_table(kind, names, positions=options.positions, distance=options.distance))
         return given, [""] * len(names)
-    goods = [one.paper.good for one in observed]
-    pixels = [one.paper.pixels[good] for one, good in zip(observed, goods, strict=True)]
-    values = [one.paper.values[good].mean(1) for one, good in zip(observed, goods, strict=True)]
-    if known is not None:
-        values = [value / known.at(pixel) for value, pixel in zip(values, pixels, strict=True)]
-    size = scene.cameras[0].size
-    terms = [vignetting_terms(size, pixel, True) if known is None else np.zeros((len(pixel), 0)) for pixel in pixels]
-    return lamps_of_shading(names, [places.paper[good] for good in goods], values, terms)
+    return lights_of_shading(scene, places, observed, known)
 
 
 def _unlit(scene: Scene, index: int, observed: Observed) -> str:
@@ -196,18 +195,30 @@ def _lit(points: np.ndarray, light: Light, spheres: np.ndarray, radius: float) -
 def _courses(
     scene: Scene, options: PhotometryOptions, places: Places, observed: Sequence[Observed], lights: Sequence[Light | None],
     faults: Sequence[str], spheres: np.ndarray, known: Vignetting | None,
-) -> tuple[list[Course], Vignetting | None]:
-    nothing = (np.zeros((0, 3)), np.zeros((0, 2)), np.zeros((0, 3)), np.zeros(0))
+) -> tuple[list[Course], Vignetting | None, Sheen | None]:
+    nothing = (np.zeros((0, 3)), np.zeros((0, 2)), np.zeros((0, 3)), np.zeros(0), np.zeros((0, 2)))
     rows = []
-    for one, light, fault in zip(observed, lights, faults, strict=True):
+    for one, light, pose, fault in zip(observed, lights, scene.poses, faults, strict=True):
         if fault or light is None:
             rows.append(nothing)
             continue
         good = one.paper.good & _lit(places.paper, light, spheres, scene.board.diameter / 2)
         points = places.paper[good]
-        rows.append((points, one.paper.pixels[good], one.paper.values[good], light.irradiance(points)))
-    points, pixels, values, expected = (list(column) for column in zip(*rows, strict=True))
-    return fit_courses(scene.cameras[0].size, points, pixels, values, expected, known, not options.even)
+        rows.append((points, one.paper.pixels[good], one.paper.values[good], light.irradiance(points), mirrored(pose, light, points)))
+    points, pixels, values, expected, mirror = (list(column) for column in zip(*rows, strict=True))
+    return fit_courses(scene.cameras[0].size, points, pixels, values, expected, known, not options.even, mirror)
+
+
+def _strays(scene: Scene, courses: Sequence[Course], faults: Sequence[str]) -> list[str]:
+    """Return why the paper of a photograph does not tell its exposure, far unlike that of others; "" where it does."""
+    usual = float(np.median([course.residual for course, fault in zip(courses, faults, strict=True) if not fault]))
+    said = []
+    for one, course, fault in zip(scene.photographs, courses, faults, strict=True):
+        stray = not fault and course.residual > max(_DEVIATES, _STRAY * usual)
+        fact = f"it deviates by {100 * course.residual:.1f} % rms, that of others by {100 * usual:.1f} %"
+        step = "Leave this photograph out, or take it again without a shadow, a highlight or a second lamp on the board."
+        said.append(message(one.name, "the board's white paper", "be lit as its lamp explains", fact, step) if stray else "")
+    return said
 
 
 def _check_explained(scene: Scene, courses: Sequence[Course], faults: Sequence[str]) -> None:
@@ -224,7 +235,7 @@ def _check_explained(scene: Scene, courses: Sequence[Course], faults: Sequence[s
 
 def _whites(
     scene: Scene, options: PhotometryOptions, places: Places, observed: Sequence[Observed], lights: Sequence[Light | None],
-    courses: Sequence[Course], vignetting: Vignetting | None, faults: Sequence[str], spheres: np.ndarray,
+    courses: Sequence[Course], vignetting: Vignetting | None, sheen: Sheen | None, faults: Sequence[str], spheres: np.ndarray,
 ) -> White:
     shares = np.full((2, len(observed), 3), np.nan)
     for index, (one, light) in enumerate(zip(observed, lights, strict=True)):
@@ -235,6 +246,7 @@ def _whites(
             if good.mean() >= _LEAST_PATCH / len(scene.board.patches["white"]):
                 even = 1.0 if vignetting is None else vignetting.at(reading.pixels[good])
                 paper = light.irradiance(points[good]) * courses[index].at(points[good]) * even
-                shares[kind, index] = np.median(reading.values[good] / (paper[:, None] * courses[index].level), axis=0)
+                gloss = 0.0 if sheen is None else sheen.at(mirrored(scene.poses[index], light, points[good]))[:, None] - 1  # of ink as of paper
+                shares[kind, index] = np.median(reading.values[good] / (paper[:, None] * courses[index].level) - gloss, axis=0)
     white, grey = shares
     return calibrate_white(np.stack([one.level for one in courses]), white, grey, options.white, options.grey)

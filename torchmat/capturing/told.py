@@ -13,12 +13,14 @@ from torchmat.capturing.evenness import Course, Vignetting
 from torchmat.capturing.light import Light
 from torchmat.capturing.observe import Observed
 from torchmat.capturing.scene import Scene, Step
+from torchmat.capturing.sheen import Sheen
 from torchmat.capturing.sphere_lights import SphereLights
 from torchmat.capturing.white import White
 from torchmat.colour import display
 
 _SHOWN = 6  # photographs whose highlights are shown
 _UNEVEN = 0.1  # relative, in a corner of the window, of which it is said
+_ODD = 0.015, 1.8  # rms of a photograph's paper, and times the usual one, of which it is said
 _SIDE = 160  # pixels of a picture of a sphere
 _MARK = (1.0, 0.2, 0.1)
 
@@ -80,8 +82,10 @@ def _tile(cutout, pixel: np.ndarray) -> Tensor:
     return tile
 
 
-def vignetting_step(scene: Scene, vignetting: Vignetting | None, courses: Sequence[Course], faults: Sequence[str]) -> Step:
-    """Return what was found of the lens's and the lamps' evenness."""
+def vignetting_step(
+    scene: Scene, vignetting: Vignetting | None, courses: Sequence[Course], faults: Sequence[str], sheen: Sheen | None = None
+) -> Step:
+    """Return what was found of the lens's and the lamps' evenness, and of the paper's gloss."""
     left, bottom, right, top = scene.board.window
     corner = np.array([right, top, 0.0])
     kept = [course for course, fault in zip(courses, faults, strict=True) if not fault]
@@ -93,15 +97,26 @@ def vignetting_step(scene: Scene, vignetting: Vignetting | None, courses: Sequen
         f"{one.name}: light is {100 * float(np.abs(course.slope) @ corner[:2]):.0f} % stronger to one side than its lamp explains"
         for one, course, fault in zip(scene.photographs, courses, faults, strict=True) if not fault and np.abs(course.slope) @ corner[:2] > _UNEVEN
     ]
+    if sheen is not None:
+        notes.append(
+            f"the paper is glossy: {100 * sheen.strength:.0f} % brighter in the mirror direction of a lamp above it (give or take {100 * sheen.sigma:.0f}), which is "
+            "taken out; matte paper is safer"
+        )
+    shine = None if sheen is None else {"strength": sheen.strength, "exponent": sheen.exponent, "sigma": sheen.sigma}
+    usual = float(np.median([course.residual for course in kept]))
+    notes += [
+        f"{one.name}: its paper deviates by {100 * course.residual:.1f} % rms, that of others by {100 * usual:.1f} %: a shadow or a highlight, and its exposure may be off by several times as much"
+        for one, course, fault in zip(scene.photographs, courses, faults, strict=True) if not fault and course.residual > max(_ODD[0], _ODD[1] * usual)
+    ]
     header = ("photograph", "% a mm to the right", "% a mm up", "residual in %")
     if vignetting is None:
         note = "the board's paper does not reach far enough to tell vignetting: none is taken out; give a flat field"
-        return Step("evenness", light, residual, {"vignetting": None}, header, rows, notes=(note, *notes))
+        return Step("evenness", light, residual, {"vignetting": None, "sheen": shine}, header, rows, notes=(note, *notes))
     found = f"corners keep {100 * vignetting.corner:.1f} % (known to {100 * vignetting.sigma:.1f}), from {vignetting.how}; {light}"
     width, height = vignetting.size
     small = np.stack(np.meshgrid(np.linspace(0, width - 1, 240), np.linspace(0, height - 1, round(240 * height / width))), axis=-1)
     picture = torch.from_numpy(vignetting.at(small)).float().clamp(0, 1).expand(3, -1, -1)
-    figures = {"corner": vignetting.corner, "sigma": vignetting.sigma, "weights": vignetting.weights.tolist(), "from": vignetting.how}
+    figures = {"corner": vignetting.corner, "sigma": vignetting.sigma, "weights": vignetting.weights.tolist(), "from": vignetting.how, "sheen": shine}
     return Step("evenness", found, residual, figures, header, rows, {"What the lens keeps of even light": picture}, notes)
 
 
