@@ -102,7 +102,7 @@ def test_it_is_said_whether_intensities_are_estimated():
 def put_codes(folder, codes):
     for number, image in enumerate(codes):
         put_image(folder / f"{number}.tif", image.transpose(1, 2, 0))
-    np.savetxt(folder / "light_directions.txt", LIGHT)
+    np.savetxt(folder / "light_directions.txt", LIGHT[: len(codes)])
     return folder
 
 
@@ -122,6 +122,18 @@ def test_a_wrong_encoding_is_told_by_the_residual_both_ways(tmp_path, dtype):
         (warning,) = wrong.warnings()
         assert f"if they are {name}, say --encoding {name}" in warning
         assert wrong.others[name] < 0.6 * wrong.residual
+
+
+def test_a_wrong_encoding_of_shallow_relief_is_told_although_little_is_left(tmp_path):
+    """Lights from 15 to 41 degrees on a surface that is nearly flat: read as sRGB, the curve is nearly a factor."""
+    y, x = np.meshgrid(np.linspace(0.8, -0.8, SIZE), np.linspace(-0.8, 0.8, SIZE), indexing="ij")
+    normal = np.stack((0.2 * np.sin(4 * x), 0.2 * np.sin(3 * y), np.ones_like(x)))
+    shading = np.einsum("nk,khw->nhw", LIGHT[:8], normal / np.linalg.norm(normal, axis=0))
+    linear = np.rint((0.3 + 0.4 * np.random.default_rng(2).random((3, SIZE, SIZE))) * shading[:, None] * 65535).astype(np.uint16)
+    folder = put_codes(tmp_path / "d", linear)
+    wrong, right = (lambert_of(load_btf(folder, encoding=encoding)) for encoding in ("srgb", "linear"))
+    assert 0.01 < wrong.residual < 0.05 and right.warnings() == []
+    assert any("if they are linear, say --encoding linear" in warning for warning in wrong.warnings())
 
 
 def test_what_says_nothing():

@@ -91,6 +91,15 @@ def test_a_file_of_its_own_goes_before_a_packed_channel(tmp_path):
     assert_close(read_textures(find_textures(folder))["roughness"], rough, 1e-4)
 
 
+@pytest.mark.parametrize("name", ["Metal", "Gold_Metal", "T-Metallic"])
+def test_a_set_that_is_called_metal_has_a_roughness_of_its_own(tmp_path, name):
+    rough = torch.rand(1, 4, 4)
+    folder = put(tmp_path / "s", {f"{name}_BaseColor.png": torch.rand(3, 4, 4), f"{name}_Roughness.png": rough})
+    found = find_textures(folder)
+    assert set(found.files) == {"color", "roughness"}
+    assert_close(read_textures(found)["roughness"], rough, 1e-4)
+
+
 def test_smoothness_in_the_alpha_of_metal(tmp_path):
     packed = torch.rand(4, 4, 4)
     folder = put(tmp_path / "s", {"x_AlbedoTransparency.png": torch.rand(3, 4, 4), "x_MetallicSmoothness.png": packed})

@@ -18,8 +18,9 @@ if TYPE_CHECKING:
 TEXELS = 1024  # are looked at, evenly chosen: sixteen times as many change the figures by less than three hundredths of them
 GOOD, WRONG = 0.1, 0.25  # residuals of matte surfaces, and of lights that do not belong to their photographs
 _STEREO_VALUES = 32_000_000  # of photometric stereo at a time
-_SMALL = 0.05  # a residual below leaves nothing for another encoding or other intensities to explain
+_SMALL, _TINY = 0.05, 0.01  # a residual below leaves nothing for other intensities, and for another encoding, to explain: smooth relief has little
 _BETTER = 0.6  # another encoding or other intensities must leave less than so much of the residual, before they are named
+_FAR_BETTER = 0.3  # where the residual is small: of noise alone, which a curve makes twice as strong, the other way leaves half
 _NO_BETTER = 0.5  # of what lights dealt out at random leave: above, the pairing explains little
 _UNLIKE = 1.1  # lights whose intensities differ by less are taken for equal
 
@@ -47,7 +48,7 @@ class Lambert(NamedTuple):
         """Return what the residuals say against the lights, their intensities, or the encoding."""
         found, best = [], self.residual if self.estimated is None else min(self.residual, self.estimated)
         for other, residual in self.others.items():
-            if residual < _BETTER * best:
+            if residual < (_BETTER if self.residual >= _SMALL else _FAR_BETTER) * best:
                 found.append(
                     f"read as {self.encoding} the photographs leave a Lambert residual of {best:.3f}, read as {other} {residual:.3f}: "
                     f"if they are {other}, say --encoding {other} (encoding={other!r})"
@@ -171,13 +172,14 @@ def lambert_of(btf: Btf) -> Lambert | None:
     sample = _sample(btf)
     order = torch.randperm(len(sample.rows), generator=torch.Generator().manual_seed(0))
     residual, shuffled = sample.residual(), sample.residual(order)
-    if residual < _SMALL:
+    if residual < _TINY:
         return Lambert(residual, shuffled, btf.encoding, None, {})
     others = {}
     if btf.stored_dtype in ("uint8", "uint16"):
         others = {name: sample.read_as(name) for name in ("srgb", "linear") if name != btf.encoding}
     return Lambert(
-        residual, shuffled, btf.encoding, sample.best(residual), {name: other.best(other.residual()) for name, other in others.items()}
+        residual, shuffled, btf.encoding, None if residual < _SMALL else sample.best(residual),
+        {name: other.best(other.residual()) for name, other in others.items()},
     )
 
 

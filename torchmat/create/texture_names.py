@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import re
+from collections.abc import Sequence
 
 KINDS = (
     "color", "opacity", "displacement", "normalgl", "normaldx", "normal", "roughness", "gloss", "metalness", "specular",
@@ -66,6 +68,14 @@ def kind_of(stem: str) -> str | None:
     if workflow and (found := _ending(words[:-2])):
         return found
     return _ending(words)
+
+
+def without_name(stems: Sequence[str]) -> list[str]:
+    """Return file names, without suffixes, without the words that all begin with, the name of the set: Metal_Roughness is roughness
+    where there is Metal_Color. A name that has no other words stays as it is."""
+    words = [re.findall(r"[A-Za-z0-9]+", stem) for stem in stems]
+    shared = len(os.path.commonprefix(words)) if len(words) > 1 else 0
+    return ["_".join(one[shared:]) if len(one) > shared else stem for one, stem in zip(words, stems, strict=True)]
 
 
 def _ending(words: list[str]) -> str | None:

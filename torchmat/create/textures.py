@@ -13,7 +13,7 @@ from torch import Tensor
 from torchmat import safe
 from torchmat.btf.photographs import read_with_alpha
 from torchmat.create.mtlx import MtlxFiles, document_of, files_of_mtlx
-from torchmat.create.texture_names import KINDS, PACKED, kind_of
+from torchmat.create.texture_names import KINDS, PACKED, kind_of, without_name
 from torchmat.errors import DataError, RangeError, ShapeError, check_finite, message
 from torchmat.geometry.normals import flip_green
 from torchmat.images import IMAGE_SUFFIXES
@@ -115,6 +115,9 @@ def find_textures(folder: str | Path) -> TextureSet:
         is_picture = path.suffix.lower() in IMAGE_SUFFIXES or (path.suffix.lower() in _UNREAD and kind_of(path.stem))
         (pictures if is_picture else ignored).append(path)
     told = {path: kind_of(path.stem) for path in pictures}
+    for path, stem in zip(pictures, without_name([path.stem for path in pictures]), strict=True):
+        if told[path] in PACKED:  # of two words the first may be the set's: Metal_Roughness
+            told[path] = kind_of(stem) or told[path]
     _tell_previews(told)
     document = document_of(folder)
     given = MtlxFiles(folder, {}, frozenset()) if document is None else files_of_mtlx(document)
