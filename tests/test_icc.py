@@ -172,3 +172,9 @@ def test_pictures_are_turned_as_their_orientation_says(tmp_path, orientation, su
     assert (btf.height, btf.width) == wanted.shape[:2]
     assert np.abs(btf.image(0).permute(1, 2, 0).numpy() - srgb_decoded(wanted / 255)).max() < 1e-5
     assert any("turned upright" in note for note in btf.source.notes) == (orientation != 1)
+
+
+def test_a_profile_of_zeros_is_named_in_printable_words():
+    with pytest.raises(DataError, match="^a.jpg: its colour profile must be of RGB or grey, by matrix and curves; .* is for unknown colours") as caught:
+        read_profile("a.jpg", bytes(200))
+    assert str(caught.value).isprintable()

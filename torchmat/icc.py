@@ -69,6 +69,8 @@ def read_profile(where: str, data: bytes) -> Profile:
     """Return what a profile says; raises DataError, which names the picture, for kinds that are not matrix and curves."""
     try:
         return _parse(where, data)
+    except DataError:
+        raise
     except (struct.error, ValueError, KeyError, IndexError, ArithmeticError) as error:
         raise DataError(message(where, "its colour profile", "be readable", f"it is damaged ({error})", _STEP)) from error
 
@@ -85,7 +87,8 @@ def _parse(where: str, data: bytes) -> Profile:
     if space == b"GRAY" and b"kTRC" in tags:
         return Profile(name, (_curve(tags[b"kTRC"]),), None)
     if space != b"RGB " or not {b"rXYZ", b"gXYZ", b"bXYZ", b"rTRC", b"gTRC", b"bTRC"} <= tags.keys():
-        kind = space.decode("latin-1").strip() or "unknown"
+        kind = space.decode("latin-1").strip()
+        kind = kind if kind and kind.isprintable() else "unknown"
         fact = f"{name!r} is a table for {kind} colours" if space == b"RGB " else f"{name!r} is for {kind} colours"
         raise DataError(message(where, "its colour profile", "be of RGB or grey, by matrix and curves", fact, _STEP))
     columns = [struct.unpack_from(">3i", tags[sign], 8) for sign in (b"rXYZ", b"gXYZ", b"bXYZ")]

@@ -160,3 +160,8 @@ def test_a_curve_in_the_values_is_shown_by_the_grey_patch():
         calibrate_white(LEVEL, np.ones((5, 3)), np.full((5, 3), 0.5), grey_reflectance=0.2)
     with pytest.raises(RangeError, match="be at most 1; it is 90"):
         calibrate_white(LEVEL, np.ones((5, 3)), share, 90.0)
+
+
+def test_a_grey_patch_without_light_is_said():
+    white = calibrate_white(LEVEL, np.ones((5, 3)), np.full((5, 3), -0.01))
+    assert np.isnan(white.spread) and "the grey patch shows no light" in white.notes[0] and white.scale == pytest.approx(LEVEL / 0.9)

@@ -90,7 +90,9 @@ def calibrate(board: Board, photographs: Sequence[Photograph], detections: Seque
     check_one_camera([photographs[index] for index in used])
     if not used:
         step = "Let the whole board be seen, sharp and evenly lit."
-        raise FitError(message("capture", "photographs", "show the board", f"none of {len(detections)} does", step))
+        said = f"; the first, {photographs[0].name}: {detections[0].reason}" if detections else ""
+        step += " Check --size, --series and --spheres of the board too."
+        raise FitError(message("capture", "photographs", "show the board", f"none of {len(detections)} does{said}", step))
     size = photographs[used[0]].size
     start = _exif_focal(photographs[used[0]])
     all_seen = {index: seen(board, detections[index]) for index in used}

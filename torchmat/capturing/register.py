@@ -18,7 +18,7 @@ _LEAST, _GAIN = 0.35, 0.97  # texels that a shift must be larger than, and what 
 _PATTERN = 0.3  # correlation below which photographs have no pattern in common
 _ROUNDS = 2
 _RELIEF = 0.3  # of the photographs that would be moved a little, from which on it is relief that lights move
-_MOVED = 1.0  # mm beside the others: the sample was moved
+_MOVED, _FARTHER = 1.0, 2.5  # mm beside the others: the sample was moved; of relief, times what is usual of it
 _HEIGHTS, _REFINED = 4, 0.05  # times that a height is looked for, and texels that one which is known is refined by
 _SURE, _BETTER = 4.0, 0.7  # standard errors of a height, and what it must leave of the shifts
 
@@ -116,7 +116,9 @@ def _without_relief(shifts: list[np.ndarray | None], grid: Grid, notes: list[str
     little = [0 < length <= _MOVED for length in lengths]
     if sum(little) <= _RELIEF * len(shifts):
         return shifts
-    notes.append(f"{sum(little)} photographs would each be moved by less than {_MOVED:g} mm: lights move what relief shows, so that they lie as their poses say")
+    most = max(_MOVED, _FARTHER * float(np.median([length for length in lengths if length > 0])))
+    little = [0 < length <= most for length in lengths]
+    notes.append(f"{sum(little)} photographs would each be moved by less than {most:.2g} mm: lights move what relief shows, so that they lie as their poses say")
     return [None if small else shift for shift, small in zip(shifts, little, strict=True)]
 
 
@@ -159,7 +161,7 @@ def _step(
     names = [one.name for one in scene.photographs]
     lengths = [0.0 if shift is None else moved_by(shift, grid.shape) * grid.texel[1] for shift in shifts]
     for name, shift, length in zip(names, shifts, lengths, strict=True):
-        if shift is not None and length > _MOVED:
+        if shift is not None and length > _MOVED:  # of relief, what `_without_relief` left
             notes.append(f"{name}: the sample lies {length:.1f} mm beside where it lies in the others; it was moved, and is followed")
     patterned = [value for value in alike if value > _PATTERN]
     if len(patterned) < len(names):

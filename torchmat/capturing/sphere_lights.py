@@ -15,6 +15,9 @@ from torchmat.capturing.spheres import find_highlight, lamp_of_rays, lamp_ray
 from torchmat.errors import DataError, message
 
 
+_MANY = 0.3  # of the photographs, whose spheres do not go together: it is not they that are at fault
+
+
 class SphereLights(NamedTuple):
     """The `lights` [n] of photographs, None where a `fault` [n] says why not ("" for none); where the spheres stand; the
     `highlights` [n, spheres, 2] in pixels, NaN where none was found; and `notes`."""
@@ -57,6 +60,9 @@ def lights_of_spheres(scene: Scene, observed: Sequence[Observed]) -> SphereLight
                 fault = str(error)
         lights.append(light)
         faults.append(fault)
+    odd = sum(light is not None and bool(light.notes) for light in lights)
+    if odd > _MANY * len(lights):
+        notes.insert(0, f"in {odd} of {len(lights)} photographs the two spheres do not go together: check the spheres' --diameter, the board's --size, and the length of its scale bar (--measured)")
     return SphereLights(lights, faults, standing, highlights, notes)
 
 

@@ -73,6 +73,8 @@ def _greys(
         return np.full(3, np.nan), np.nan, np.nan, ["no photograph shows the grey patch: that values are linear light is not checked"]
     share = grey[seen] * paper
     middle = np.median(share, axis=0)
+    if not (share.mean(1) > 0).all() or not middle.mean() > 0:
+        return middle, np.nan, np.nan, ["the grey patch shows no light: is it covered, or the board another one (--size)? That values are linear light is not checked"]
     off = np.log(share.mean(1) / middle.mean())
     spread = float(1.4826 * np.median(np.abs(off - np.median(off))))
     at = np.log(level[seen].mean(1))
