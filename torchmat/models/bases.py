@@ -76,12 +76,12 @@ def _hemispherical(bands: int) -> Callable[[Tensor, Tensor], Tensor]:
             turns.append((c * cosine - s * sine, s * cosine + c * sine))
         planes = []
         for degree in range(bands):
-            for order in range(-degree, degree + 1):
-                m = abs(order)
+            along = []  # of the orders 0, 1 ...: turned either way they have the polynomial of z in common
+            for m in range(degree + 1):
                 scale = (2 * degree + 1) * math.factorial(degree - m) / (2 * math.pi * math.factorial(degree + m))
-                scale = math.sqrt(scale * (2 if m else 1))
-                turn = turns[m][0] if order >= 0 else turns[m][1]
-                planes.append(scale * _legendre(degree, m, 2 * z - 1) * turn)
+                along.append(math.sqrt(scale * (2 if m else 1)) * _legendre(degree, m, 2 * z - 1))
+            for order in range(-degree, degree + 1):
+                planes.append(along[abs(order)] * turns[abs(order)][0 if order >= 0 else 1])
         return torch.stack(planes, dim=-3)
 
     return evaluate

@@ -17,8 +17,8 @@ from torchmat.fitting.models.streamed import LinearFit
 from torchmat.fitting.training import Training
 from torchmat.solvers.least_squares import DETERMINED
 
-_TEXELS = 16384  # of a strip
-_VALUES = 4_000_000  # of the basis at a time
+_TEXELS = 8192  # of a strip
+_VALUES = 1_000_000  # of the basis at a time
 _CERTAIN = 1e-7  # of a column's information must be its own, or the texel's rank is counted
 _KEPT = 1e-11  # of the largest eigenvalue of sums of squares, below which there is rounding alone
 
@@ -75,23 +75,44 @@ def equations(
     explained: Basis | None = None,
 ) -> Equations:
     """Return the sums over the used samples of a strip, for values less what is `explained` by (light, view)."""
-    texels = strip.height * strip.width
-    normal, right = torch.zeros(texels, terms, terms, dtype=torch.float64), torch.zeros(texels, terms, 3, dtype=torch.float64)
-    lost: Tensor | None = None
     size = (strip.height, strip.width)
+    texels = strip.height * strip.width
+    pairs, right = torch.zeros(terms * (terms + 1) // 2, texels, dtype=torch.float64), torch.zeros(terms, 3, texels, dtype=torch.float64)
+    lost: Tensor | None = None
     for seen in seen_of(training, strip, terms, encode):
         count = len(seen.rows)
-        left = basis(seen.light, seen.view).expand(count, terms, *size).reshape(count, terms, texels).permute(2, 0, 1)
+        left = basis(seen.light, seen.view).expand(count, terms, *size).reshape(count, terms, texels)
         values = seen.values if explained is None else seen.values - explained(seen.light, seen.view)
-        weight = seen.weight.reshape(count, texels).T[:, :, None]
-        weighted = left * weight
-        normal.baddbmm_(weighted.transpose(1, 2), left)
-        right.baddbmm_(weighted.transpose(1, 2), values.reshape(count, 3, texels).permute(2, 0, 1))
+        values, weight = values.reshape(count, 3, texels), seen.weight.reshape(count, 1, texels)
+        missing = None
         if seen.reduced:
-            missing = training.counted(torch.ones_like(seen.weight), seen.rows).reshape(count, texels).T[:, :, None] - weight
-            lost = torch.zeros_like(normal) if lost is None else lost
-            lost.baddbmm_((left * missing).transpose(1, 2), left)
-    return Equations(normal, right, None if lost is None else normal + lost)
+            missing = training.counted(torch.ones_like(seen.weight), seen.rows).reshape(count, 1, texels) - weight
+            lost = torch.zeros_like(pairs) if lost is None else lost
+        # Sample by sample and plane by plane: products of batches as small take ten times as long.
+        for sample, one in enumerate(left):
+            weighted = one * weight[sample]
+            right.addcmul_(weighted[:, None], values[sample])
+            _add_pairs(pairs, weighted, one)
+            if missing is not None and lost is not None:
+                _add_pairs(lost, one * missing[sample], one)
+    normal = _symmetric(pairs, terms)
+    return Equations(normal, right.permute(2, 0, 1).contiguous(), None if lost is None else normal + _symmetric(lost, terms))
+
+
+def _add_pairs(total: Tensor, first: Tensor, second: Tensor) -> None:
+    """Add the products of `first` and `second` [K, t], each with itself and those behind it, to `total` [K (K + 1) / 2, t]."""
+    place, terms = 0, len(first)
+    for term in range(terms):
+        total[place : place + terms - term].addcmul_(first[term], second[term:])
+        place += terms - term
+
+
+def _symmetric(pairs: Tensor, terms: int) -> Tensor:
+    """Return matrices [t, K, K] of their upper halves [K (K + 1) / 2, t]."""
+    row, column = torch.triu_indices(terms, terms)
+    found = pairs.new_empty(pairs.shape[1], terms, terms)
+    found[:, row, column] = found[:, column, row] = pairs.T
+    return found
 
 
 def solve(found: Equations, ridge: float = 0.0, floor: float = DETERMINED) -> tuple[Tensor, Tensor]:
