@@ -71,11 +71,12 @@ class PixelStore:
         if self.flags is None:
             return PixelStore(pixels, None, **counts)
         flags = self.flags[:, rows, columns]
+        many = rows.stop is None or rows.stop - (rows.start or 0) > _BAND_ROWS  # behind a pass over few rows `bands` releases
         for sample in np.flatnonzero(self.clipped + self.invalid):  # other rows of a flag file are holes, never read
             counts["clipped"][sample] = np.count_nonzero(flags[sample] == CLIPPED)
             counts["invalid"][sample] = np.count_nonzero(flags[sample] == INVALID)
-        if rows.stop is None or rows.stop - (rows.start or 0) > _BAND_ROWS:  # behind a pass over few rows `bands` does
-            release(self.flags, range(len(self.flags)))
+            if many:
+                release(self.flags, range(sample, sample + 1))
         return PixelStore(pixels, flags, **counts)
 
     def picked(self, samples: np.ndarray) -> PixelStore:

@@ -119,9 +119,9 @@ def page(title: str, parts: Iterable[str], heading: Any = None, wide: bool = Fal
         f'<!doctype html><html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width">'
         f"<title>{html.escape(title)}</title><style>{_STYLE}</style></head>"
     )
-    body = f"<h1>{text(title if heading is None else heading)}</h1>{''.join(parts)}"
-    ending = f"<script>{script}</script>" if script else ""
-    return f"{head}<body{_class('wide' if wide else '')}><main>{body}</main>{ending}</body></html>"
+    begin = f"{head}<body{_class('wide' if wide else '')}><main><h1>{text(title if heading is None else heading)}</h1>"
+    ending = f"</main><script>{script}</script></body></html>" if script else "</main></body></html>"
+    return "".join((begin, *parts, ending))  # in one go: parts hold whole materials, of which each copy takes tens of megabytes
 
 
 def _class(name: str) -> str:

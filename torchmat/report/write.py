@@ -27,6 +27,7 @@ from torchmat.report.tables import to_json
 from torchmat.report.viewer import viewer_of
 
 
+_PIECE = 1 << 20  # characters of a page that are written at a time
 _DRAWN_TEXELS = 1 << 18  # of large images: more than any picture of a page shows
 
 
@@ -65,8 +66,12 @@ def write_fit(
                 cards, numbers = map_cards(result.material, building), parameter_rows(result.material)
                 certain = [] if result.uncertainty is None else error_cards(result.material, result.uncertainty, building)
                 viewer = viewer_of(result.material if certain else drawn, certain)
+                if large:
+                    give_back()
                 page = fit_page(report, written, rows, cards, numbers, viewer, certain)
-                (building / "report.html").write_text(page, encoding="utf-8")
+                del viewer  # as long as the page
+                with open(building / "report.html", "w", encoding="utf-8", newline="\n") as file:
+                    file.writelines(page[start : start + _PIECE] for start in range(0, len(page), _PIECE))  # not encoded in one go
 
     return save_material(result.material, folder, _provenance(result.report), companions, force, result.uncertainty)
 
@@ -90,6 +95,8 @@ def _fit_pictures(btf: Btf, pictured: FitResult, drawn: Material, folder: Path, 
     """Write the pictures of a fit, `pictured` in the size of the images, of photographs `rows`; return their paths."""
     with phase("drawing pictures"):
         written = write_pictures(btf, pictured, folder, rows, in_command())
+    if drawn.texels < pictured.report["texels"]:
+        give_back()
     half = half_vector(btf.lights[:, None], btf.views[None], dim=-1).flatten(0, 1)
     with phase("drawing the maps"):
         written.append(maps_picture(drawn, folder / "maps.png", half))

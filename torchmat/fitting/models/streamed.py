@@ -166,15 +166,27 @@ def solve_texels(
 
 
 class _Found:
-    """What is found of all texels, band by band: coefficients in `place`, if it is given, and coverage."""
+    """What is found of all texels, band by band: coefficients in `place`, if it is given, and coverage, held once where it is one number."""
 
     def __init__(self, btf: Btf, design: Design, dtype: torch.dtype, place: Tensor | None = None) -> None:
-        size = (btf.height, btf.width)
-        self.fit = LinearFit(torch.empty(design.terms, 3, *size, dtype=dtype) if place is None else place, torch.empty(1, *size))
+        self._size = (btf.height, btf.width)
+        self._coefficients = torch.empty(design.terms, 3, *self._size, dtype=dtype) if place is None else place
+        self._coverage: Tensor | None = None
+        self._usual = design.rank / design.terms
 
     def add(self, rows: slice, band: LinearFit) -> None:
-        self.fit.coefficients[:, :, rows] = band.coefficients
-        self.fit.coverage[:, rows] = band.coverage
+        self._coefficients[:, :, rows] = band.coefficients
+        if self._coverage is None and not bool((band.coverage == self._whole()[:, :1, :1]).all()):
+            self._coverage = self._whole().contiguous()
+        if self._coverage is not None:
+            self._coverage[:, rows] = band.coverage
+
+    def _whole(self) -> Tensor:
+        return torch.full((1, 1, 1), self._usual).expand(1, *self._size)
+
+    @property
+    def fit(self) -> LinearFit:
+        return LinearFit(self._coefficients, self._whole() if self._coverage is None else self._coverage)
 
 
 def _solve_band(btf: Btf, design: Design, sums: Tensor, used: Tensor, explained: Tensor | None) -> LinearFit:
