@@ -17,4 +17,5 @@ export GOMP_SPINCOUNT=1000
 # Both processes, and the children that tests start, share what was compiled once.
 unset PYTHONDONTWRITEBYTECODE
 "$root/.venv/bin/python" -m compileall -q torchmat
-exec "$root/.venv/bin/python" -m pytest -n 2 "$@"
+# Each process keeps to a stretch of its own, so that what the tests of a file share is made by one of them, until one has none left.
+exec "$root/.venv/bin/python" -m pytest -n 2 --dist worksteal "$@"
