@@ -156,7 +156,7 @@ def test_memory_decides_the_side_of_the_tiles(monkeypatch):
     monkeypatch.setattr(tile_memory, "FEWEST_TEXELS", 4)
     monkeypatch.setattr(tile_memory, "STEP", 2)
     for extra in (0.2, 1.0, 3.0):
-        mb = 780.4 + extra  # of which the program takes 420, blocks of float64 360, and a texture 0.4
+        mb = 290.4 + extra  # of which the program takes 90, blocks of float64 200, and a texture 0.4
         report.append(tm.fit(btf, "texture", dtype=torch.float64, memory_mb=mb).report["figures"]["tiles"]["side"])
     assert report[0] < report[1] < report[2] <= 22
 
@@ -166,7 +166,7 @@ def test_too_little_memory_says_how_much_is_needed():
         tm.fit(btf_of(), "texture", memory_mb=50)
     with pytest.raises(RangeError, match="memory_mb must be at least 1200; .* recovering the relief"):
         tm.fit(btf_of(), "texture", memory_mb=900, geometry="recover")
-    needed = 620  # 20 more than the program and its blocks
+    needed = 210  # 20 more than the program and its blocks
     with pytest.raises(RangeError, match="tile_size must fit into"):
         tm.fit(btf_of(), "texture", memory_mb=needed, tile_size=4000)
 

@@ -37,7 +37,8 @@ class Block(NamedTuple):
 def bands(store: PixelStore, show: bool | None) -> Iterator[range]:
     """Yield runs of rows of texels, whose samples are few values at a time; drops mapped pages behind the pass."""
     count, channels, height, width = store.pixels.shape
-    step = max(1, BAND_VALUES // (channels * width * min(count, BAND_SAMPLES)))
+    row = abs(store.pixels.strides[2])  # in the file: of a window, or of every so-manieth texel, whole pages are read
+    step = max(1, min(BAND_VALUES // (channels * width * min(count, BAND_SAMPLES)), 4 * _BAND_BYTES // (count * channels * row)))
     large = store.pixels.nbytes > RELEASE_BYTES
     if large:
         give_back()  # what was freed before is not to lie beside what is found now
@@ -47,7 +48,7 @@ def bands(store: PixelStore, show: bool | None) -> Iterator[range]:
     passed = 0
     for top in progress(range(0, height, step), "reading images", show=show):
         yield range(top, min(top + step, height))
-        passed += count * channels * step * width * store.pixels.itemsize
+        passed += count * channels * step * row
         if passed > _BAND_BYTES:
             store.release(range(count))
             passed = 0
@@ -59,7 +60,8 @@ def bands(store: PixelStore, show: bool | None) -> Iterator[range]:
 def runs(store: PixelStore, wanted: Tensor | None, most: int | None = None) -> list[range]:
     """Return consecutive runs of at most `most` samples, one block each, without those that hold no sample of `wanted` (bool)."""
     count, channels, height, width = store.pixels.shape
-    step = most or max(1, BLOCK_VALUES // (channels * height * width))
+    spanned = channels * height * abs(store.pixels.strides[2])  # bytes of the file: pages are read whole, however few texels are wanted
+    step = most or max(1, min(BLOCK_VALUES // (channels * height * width), 4 * _BAND_BYTES // max(1, spanned)))
     every = [range(first, min(first + step, count)) for first in range(0, count, step)]
     return [run for run in every if wanted is None or bool(wanted[run.start : run.stop].any())]
 

@@ -147,7 +147,7 @@ def fit(
         scene: a Scene or several: fit only the texels, lights and views that they use, weighted as they use them; the report
             then says what that saves and costs.
         tile_size: texels on a side that are fitted at a time; None is all, or as many as `memory_mb` allows.
-        memory_mb: what the fit may take, in MB.
+        memory_mb: what the fit may take, in MB, beside the 250 of Python and torch.
         work: folder that keeps finished tiles, where a run that was stopped goes on.
         curve: whether to record the held-out error against seconds as `history`.
         uncertainty: whether the result has standard errors of its maps (`tm.uncertainty`), which a folder and its report then

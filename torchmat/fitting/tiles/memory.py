@@ -13,10 +13,9 @@ USUAL_SIDE = 128
 LEAST_SIDE, _MOST_SIDE, STEP = 16, 1024, 16
 FEWEST_TEXELS = LEAST_SIDE**2
 _MB = 1e6
-# Roomy: a distribution in tiles of 240 x 240 under 441 samples, allowed 2500 MB, was measured to take 670 MB beside the
-# pages of the mapped images.
-_PROGRAM_MB = 420.0  # Python, torch and the libraries of one fit
-_BLOCKS_MB = 180.0  # a decoded block, its codes, and one more of each where samples have weights
+# Roomy where samples are held: a distribution in tiles of 240 x 240 under 441 samples, allowed 2500 MB, took 670.
+_PROGRAM_MB = 90.0  # what a fit loads and keeps beside Python and torch, whose 250 MB are not counted
+_BLOCKS_MB = 100.0  # a decoded block, its codes, and one more of each where samples have weights
 _RECOVERY_MB = 1200.0  # to recover a relief, most of it to compare images of 96 x 96, whatever their own size
 
 
