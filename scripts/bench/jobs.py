@@ -52,7 +52,7 @@ print(json.dumps(found))
 _API = """
 begin = time.process_time()
 result = tm.fit(tm.load_btf({data!r}, cache=False), "ptm", storage="png8", progress=False)
-result.save({out!r})
+tm.save_material(result.material, {out!r})
 print(json.dumps({{"after the imports": time.process_time() - begin}}))
 """
 _ZIP = """
