@@ -87,8 +87,8 @@ def stop_after(monkeypatch, count: int, stop: BaseException) -> None:
     """Make the load end with `stop` once `count` images are finished."""
     usual = pixels_module._in_threads
 
-    def some(work, starts, show):
-        usual(work, starts[:count], show)
+    def some(work, starts, show, threads):
+        usual(work, starts[:count], show, threads)
         raise stop
 
     monkeypatch.setattr(pixels_module, "_in_threads", some)

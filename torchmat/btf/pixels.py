@@ -28,6 +28,7 @@ from torchmat.progress import progress
 
 CHUNK = 64  # images that one thread decodes in a go; smaller tasks spend their time in hand-over
 _FILES_BYTES = 2**21  # of them, where each comes by itself: what takes long shows its progress picture by picture
+_SMALL_BYTES = 1 << 16  # of an image: more threads than one would wait for each other, half as long again for thousands in a zip
 _CHUNK_BYTES = 2**28  # of them, where a container may give all of a go at once
 
 
@@ -254,7 +255,7 @@ def decode_samples(
         release(pixels, samples)  # or a store that is larger than the memory would fill it as it is written
         release(flags, samples)
 
-    _in_threads(work, range(0, count, chunk), show)
+    _in_threads(work, range(0, count, chunk), show, 1 if size < _SMALL_BYTES else max(2, os.cpu_count() or 1))
     if chunk == 1:
         give_back()  # each thread's allocator keeps what large images took
     return table
@@ -264,9 +265,9 @@ def _row_of(table: dict[str, np.ndarray], sample: int) -> Row:
     return {"row": sample, **{name: column[sample].item() for name, column in table.items()}}
 
 
-def _in_threads(work: Callable[[int], None], starts: range, show: bool | None) -> None:
+def _in_threads(work: Callable[[int], None], starts: range, show: bool | None, threads: int) -> None:
     """Run `work` for all `starts`; the first error in their order ends it, once what has begun is done."""
-    with ThreadPoolExecutor(max(2, os.cpu_count() or 1)) as pool:
+    with ThreadPoolExecutor(threads) as pool:
         try:
             for _ in progress(pool.map(work, starts), "decoding", total=len(starts), show=show):
                 pass
