@@ -20,6 +20,7 @@ BLOCK_VALUES = 8_000_000  # values of one decoded block: 32 MB in float32, small
 BAND_VALUES, BAND_SAMPLES = 1 << 21, 128
 _KEPT_BYTES = 31 << 20
 _BAND_BYTES = 16_000_000  # of codes that bands pass by before their pages are dropped
+_STEP_BYTES = 4 * _BAND_BYTES  # of the file that one step may span
 
 
 class Block(NamedTuple):
@@ -34,11 +35,16 @@ class Block(NamedTuple):
     weight: Tensor | None
 
 
+def _row_bytes(store: PixelStore) -> int:
+    """Return the bytes of the file from one row of texels to the next: pages are read whole, however few of them are wanted."""
+    return max(1, abs(store.pixels.strides[2]))
+
+
 def bands(store: PixelStore, show: bool | None) -> Iterator[range]:
     """Yield runs of rows of texels, whose samples are few values at a time; drops mapped pages behind the pass."""
     count, channels, height, width = store.pixels.shape
-    row = abs(store.pixels.strides[2])  # in the file: of a window, or of every so-manieth texel, whole pages are read
-    step = max(1, min(BAND_VALUES // (channels * width * min(count, BAND_SAMPLES)), 4 * _BAND_BYTES // (count * channels * row)))
+    row = _row_bytes(store)
+    step = max(1, min(BAND_VALUES // (channels * width * min(count, BAND_SAMPLES)), _STEP_BYTES // (count * channels * row)))
     large = store.pixels.nbytes > RELEASE_BYTES
     if large:
         give_back()  # what was freed before is not to lie beside what is found now
@@ -60,8 +66,7 @@ def bands(store: PixelStore, show: bool | None) -> Iterator[range]:
 def runs(store: PixelStore, wanted: Tensor | None, most: int | None = None) -> list[range]:
     """Return consecutive runs of at most `most` samples, one block each, without those that hold no sample of `wanted` (bool)."""
     count, channels, height, width = store.pixels.shape
-    spanned = channels * height * abs(store.pixels.strides[2])  # bytes of the file: pages are read whole, however few texels are wanted
-    step = most or max(1, min(BLOCK_VALUES // (channels * height * width), 4 * _BAND_BYTES // max(1, spanned)))
+    step = most or max(1, min(BLOCK_VALUES // (channels * height * width), _STEP_BYTES // (channels * height * _row_bytes(store))))
     every = [range(first, min(first + step, count)) for first in range(0, count, step)]
     return [run for run in every if wanted is None or bool(wanted[run.start : run.stop].any())]
 

@@ -154,8 +154,8 @@ def fit(
             show; usually False.
         dtype: torch.float32, or torch.float64 for the same code in double precision.
         measure: "full" puts errors on all held-out samples into the report, "auto" (or True) too, with SSIM and CIEDE2000 on
-            fewer texels, and of images above a million on every so-manieth row and column, "quick" on some samples, about 2 million texels, "none" (or False) none; measuring
-            takes most of the time of a closed-form fit.
+            fewer texels, and of images above a million on every so-manieth row and column, "quick" on some samples, about 2 million
+            texels, "none" (or False) none; measuring takes most of the time of a closed-form fit.
         progress: whether to show a bar; None shows it on a terminal.
         options: the model's options, such as ``terms=16`` (`describe_model`), its `solver`, a name or an object such as
             ``Adam(steps=100)``, and its `objective`; of a material `solver`, `steps`, `rate`, `objective`, and `keep`, the

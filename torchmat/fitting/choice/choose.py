@@ -87,12 +87,17 @@ def _try_finished(climb: Climb, moves: bool) -> None:
     if climb.watch.spent:
         climb.log.skip(name, SPENT)
         return
-    training = replace(climb.part, relief=FINE, progress=climb.training.progress)
-    done = finish(training, replace(truest.fitted, material=truest.fitted.material.with_relief(FINE)), moves)
+    done = _after_finish(climb, truest.fitted, moves)
     if not done.figures["finish"]["kept"]:
         climb.log.skip(name, done.figures["finish"]["why"])
         return
     climb.finished(truest, done, start)
+
+
+def _after_finish(climb: Climb, fitted: Fitted, moves: bool) -> Fitted:
+    """Return what a finish makes of a material on a relief, followed finely, by the samples that candidates are fitted to."""
+    training = replace(climb.part, relief=FINE, progress=climb.training.progress)
+    return finish(training, replace(fitted, material=fitted.material.with_relief(FINE)), moves)
 
 
 def _try_the_last(climb: Climb, height: Tensor | None) -> None:
@@ -107,8 +112,7 @@ def _finished(climb: Climb, fitted: Fitted, moves: bool) -> Fitted:
     material = fitted.material
     if not climb.training.finish or not material.has_relief or climb.watch.spent or "finish" in fitted.figures:
         return fitted
-    training = replace(climb.part, relief=FINE, progress=climb.training.progress)
-    done = finish(training, replace(fitted, material=material.with_relief(FINE)), moves)
+    done = _after_finish(climb, fitted, moves)
     if not done.figures["finish"]["kept"]:
         return replace(fitted, figures=done.figures)
     found = climb.examiner.measure(done.material)
