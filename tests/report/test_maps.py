@@ -15,6 +15,7 @@ from torchmat.errors import DataError, RangeError, ShapeError
 from torchmat.images import read_image
 from torchmat.report import maps as sheets
 from torchmat.report.maps import hemisphere_picture, maps_picture
+from torchmat.report.pictures import plotting, save_figure
 from torchmat.report.samples import Measured
 
 
@@ -178,3 +179,9 @@ def test_sheets_of_every_shape(tmp_path, size):
 def test_a_size_of_0_is_refused(tmp_path):
     with pytest.raises(RangeError, match="size"):
         hemisphere_picture(from_picture(), tmp_path / "hemisphere.png", size=0)
+
+
+@pytest.mark.parametrize("name", ["a.png", "a.pdf"])
+def test_a_picture_may_be_a_pdf_too(name, tmp_path):
+    path = save_figure(plotting().figure(), tmp_path / name)
+    assert path.read_bytes()[1:4].decode() == name[-3:].upper()

@@ -65,12 +65,11 @@ def save_figure(figure: Any, path: Path, placed: bool = False) -> Path:
     Raises DataError, which names the file, when that fails.
     """
     placed = placed or figure.get_layout_engine() is not None
+    packing = {"pil_kwargs": {"compress_level": PNG_LEVEL}} if path.suffix.lower() == ".png" else {}  # a PDF takes no such word
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         # To find what is drawn, everything is drawn twice.
-        figure.savefig(
-            path, dpi=DPI, bbox_inches=None if placed else "tight", metadata={"Software": None}, pil_kwargs={"compress_level": PNG_LEVEL}
-        )
+        figure.savefig(path, dpi=DPI, bbox_inches=None if placed else "tight", metadata={"Software": None}, **packing)
     except (OSError, ValueError) as error:
         step = "Choose a name that ends in .png, in a folder that can be written to."
         raise DataError(message(str(path), "the picture", "be writable", str(error), step)) from error
