@@ -11,7 +11,6 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import subprocess
 import sys
 import tempfile
 import zipfile
@@ -21,32 +20,36 @@ from typing import Any
 
 import numpy as np
 from generated import directions, large_btf
-from measure import RESULTS, save
-from photographs import rti_set
+from measure import RESULTS, Used, save, used_by
+from photographs import rti_set, write_codes
 
 NAME = "jobs"
 _RUNS = 3
 _HERE = Path(__file__).parent
 # What each piece of code says is its last line: numbers of processor seconds, by name.
-_BEGIN = "import json, sys, time\nimport torch, torchmat as tm\ntorch.set_num_threads(1)\n"
-_LARGE = """
-sys.path.insert(0, {here!r})
-from generated import open_large
-btf = open_large({folder!r}, {size})
-def least(run, runs={runs}):
+_BEGIN = """
+import json, sys, time
+import torch, torchmat as tm
+torch.set_num_threads(1)
+def least(run, runs=5):
     run()
     found = []
     for _ in range(runs):
         begin = time.process_time(); run(); found.append(time.process_time() - begin)
     return min(found)
+"""
+_LARGE = """
+sys.path.insert(0, {here!r})
+from generated import open_large
+btf = open_large({folder!r}, {size})
 rows = torch.arange(len(btf))
 def decode():
     for part in rows.split(max(1, 4_000_000 // (btf.height * btf.width))):
         btf.images(part)
-found = {{"decode": least(decode)}}
+found = {{"decode": least(decode, {runs})}}
 for model, options in {models!r}:
-    split = tm.split_samples(btf, 0.0)
-    found[" ".join([model, *options.values()])] = least(lambda: tm.fit(btf, model, holdout=0.0, measure=False, progress=False, **options))
+    run = lambda: tm.fit(btf, model, holdout=0.0, measure=False, progress=False, **options)
+    found[" ".join([model, *options.values()])] = least(run, {runs})
 print(json.dumps(found))
 """
 _API = """
@@ -54,6 +57,14 @@ begin = time.process_time()
 result = tm.fit(tm.load_btf({data!r}, cache=False), "ptm", storage="png8", progress=False)
 tm.save_material(result.material, {out!r})
 print(json.dumps({{"after the imports": time.process_time() - begin}}))
+"""
+_UNZIP = """
+import zipfile
+begin = time.process_time()
+archive = zipfile.ZipFile({data!r})
+for name in archive.namelist():
+    archive.read(name)
+print(json.dumps({{"unzip": time.process_time() - begin}}))
 """
 _ZIP = """
 begin = time.process_time()
@@ -63,12 +74,6 @@ print(json.dumps({{"load": time.process_time() - begin, "samples": len(btf)}}))
 _TEAPOT = """
 from torchmat.rendering import Scene
 texture = tm.fit(tm.load_btf(tm.sample_path()), "lambert", measure=False, progress=False).material
-def least(run, runs={runs}):
-    run()
-    found = []
-    for _ in range(runs):
-        begin = time.process_time(); run(); found.append(time.process_time() - begin)
-    return min(found)
 scene = Scene("teapot", [(0.4, 0.5, 0.77)], size=512)
 scene.picture(texture)
 print(json.dumps({{
@@ -88,40 +93,28 @@ light, view, found = planes(), planes(), {{}}
 for model in ("lambert", "ptm", "hsh", "phong_srf", "pca", "microfacet", "distribution"):
     slow = {{"geometry": "flat", "effort": 0.02}} if model in ("microfacet", "distribution") else {{}}
     material = resized(tm.fit(btf, model, measure=False, progress=False, **slow).material, (size, size))
-    times = []
+    flat = torch.cat([part.detach().flatten() for part in material.maps.values()])
     with torch.no_grad():
-        for _ in range({runs} + 1):
-            begin = time.process_time(); material.shade(light, view); times.append(time.process_time() - begin)
-        flat = torch.cat([part.detach().flatten() for part in material.maps.values()])
-        copies = []
-        for _ in range({runs}):
-            begin = time.process_time(); flat.clone(); copies.append(time.process_time() - begin)
-    found[model] = {{"Mtexel/s": size * size / 1e6 / min(times[1:]), "bound by a copy of the maps": size * size / 1e6 / max(min(copies), 1e-9)}}
+        shading, copy = least(lambda: material.shade(light, view)), least(flat.clone)
+    found[model] = {{"Mtexel/s": size * size / 1e6 / shading, "bound by a copy of the maps": size * size / 1e6 / copy}}
 print(json.dumps(found))
 """
 
 
-def processor_seconds(command: list[str]) -> tuple[float, str, float]:
-    """Return a command's processor seconds, what it printed, and its memory in MB; raises SystemExit when it fails."""
+def _run(command: list[str]) -> Used:
+    """Run a command on one thread, with what Python has compiled of it before."""
     environment = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
-    environment |= {"OMP_NUM_THREADS": "1", "GOMP_SPINCOUNT": "1000"}
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment)
-    assert process.stdout is not None
-    told = process.stdout.read()
-    _, status, used = os.wait4(process.pid, 0)
-    if os.waitstatus_to_exitcode(status):
-        raise SystemExit(f"{' '.join(command)} failed")
-    return used.ru_utime + used.ru_stime, told, used.ru_maxrss * 1024 / 1e6
+    return used_by(command, environment | {"OMP_NUM_THREADS": "1", "GOMP_SPINCOUNT": "1000"})
 
 
 def least(command: Callable[[], list[str]], runs: int = _RUNS) -> dict[str, float]:
     """Return the least processor seconds of some runs of a command, made anew for each, and its memory."""
-    found = [processor_seconds(command()) for _ in range(runs)]
-    return {"processor_seconds": min(one[0] for one in found), "peak_rss_mb": min(one[2] for one in found)}
+    found = [_run(command()) for _ in range(runs)]
+    return {"processor_seconds": min(one.processor_seconds for one in found), "peak_rss_mb": min(one.peak_rss_mb for one in found)}
 
 
 def _said(code: str, runs: int = 1) -> list[dict[str, Any]]:
-    return [json.loads(processor_seconds([sys.executable, "-c", _BEGIN + code])[1].splitlines()[-1]) for _ in range(runs)]
+    return [json.loads(_run([sys.executable, "-c", _BEGIN + code]).printed.splitlines()[-1]) for _ in range(runs)]
 
 
 def _fit(folder: Path, *more: str, model: str = "ptm") -> list[str]:
@@ -134,7 +127,8 @@ def small(place: Path) -> Iterator[dict[str, Any]]:
     folder = rti_set(place / "small", 81, 256, 256)
     png = ("--set", "storage=png8")
     yield {"job": "import torch", **least(lambda: [sys.executable, "-c", "import torch"])}
-    for name, more in (("the command", ()), ("without pictures", ("--no-pictures",)), ("nor errors", ("--no-pictures", "--measure", "none"))):
+    unmeasured = ("--no-pictures", "--measure", "none")
+    for name, more in (("the command", ()), ("without pictures", ("--no-pictures",)), ("nor errors", unmeasured)):
         yield {"job": f"81 x 256 x 256, ptm, {name}", **least(lambda more=more: _fit(folder, *png, *more))}
     found = _said(_API.format(data=str(folder / "lights.lp"), out=str(place / "api")), 1)
     yield {"job": "81 x 256 x 256, ptm, in Python, after the imports", "processor_seconds": found[0]["after the imports"]}
@@ -152,7 +146,8 @@ def _generated(size: int, lights: int, views: int, models: list[tuple[str, dict[
         code = _LARGE.format(here=str(_HERE), folder=str(folder), size=size, models=models, runs=runs)
         found = _said(code)[0]
     for name, seconds in found.items():
-        yield {"job": f"{size} x {size} x {lights * views}, {name}", "processor_seconds": seconds, "of the decoding": seconds / found["decode"]}
+        job = f"{size} x {size} x {lights * views}, {name}"
+        yield {"job": job, "processor_seconds": seconds, "of the decoding": seconds / found["decode"]}
 
 
 def large(place: Path) -> Iterator[dict[str, Any]]:
@@ -168,8 +163,6 @@ def forms(place: Path) -> Iterator[dict[str, Any]]:
 
 def zipped(place: Path) -> Iterator[dict[str, Any]]:
     """A zip of 6561 small JPEGs, and what unpacking and decoding alone take."""
-    import OpenImageIO as oiio
-
     path, random = place / "many.zip", np.random.default_rng(0)
     light, view = directions(81), directions(81)
     with zipfile.ZipFile(path, "w") as archive:
@@ -177,16 +170,13 @@ def zipped(place: Path) -> Iterator[dict[str, Any]]:
         base = random.integers(0, 255, (64, 64, 3)).astype(np.uint8)
         for number, (seen, lit) in enumerate((seen, lit) for seen in view for lit in light):
             name = f"image_{number:04d}.jpg"
-            spec = oiio.ImageSpec(64, 64, 3, "uint8")
-            out = oiio.ImageOutput.create(name)
             file = place / name
-            assert out.open(str(file), spec) and out.write_image((base * (0.5 + 0.5 * lit[2])).astype(np.uint8)) and out.close()
+            write_codes(file, (base * (0.5 + 0.5 * lit[2])).astype(np.uint8))
             archive.write(file, name)
             file.unlink()
             rows.append(",".join([name, *(f"{value:.6f}" for value in (*lit, *seen))]))
         archive.writestr("manifest.csv", "\n".join(rows) + "\n")
-    unpack = f"import io, zipfile, json, time\nbegin = time.process_time()\na = zipfile.ZipFile({str(path)!r})\n[a.read(n) for n in a.namelist()]\n"
-    seconds = _said(unpack + "print(json.dumps({'unzip': time.process_time() - begin}))")[0]["unzip"]
+    seconds = _said(_UNZIP.format(data=str(path)))[0]["unzip"]
     found = _said(_ZIP.format(data=str(path)), _RUNS)
     yield {"job": "zip of 6561 JPEGs, unzip alone", "processor_seconds": seconds}
     yield {"job": "zip of 6561 JPEGs, first load", "processor_seconds": min(one["load"] for one in found)}
@@ -194,13 +184,13 @@ def zipped(place: Path) -> Iterator[dict[str, Any]]:
 
 def teapot(place: Path) -> Iterator[dict[str, Any]]:
     """The teapot, 512 x 512 pixels, one light."""
-    for name, seconds in _said(_TEAPOT.format(runs=5))[0].items():
+    for name, seconds in _said(_TEAPOT.format())[0].items():
         yield {"job": f"teapot, 512 x 512, {name}", "processor_seconds": seconds}
 
 
 def texels(place: Path) -> Iterator[dict[str, Any]]:
     """Shading with a light and a view of each texel's own."""
-    for name, found in _said(_TEXELS.format(runs=5))[0].items():
+    for name, found in _said(_TEXELS.format())[0].items():
         yield {"job": f"light and view a texel, {name}", **found}
 
 
@@ -211,7 +201,9 @@ def helped(place: Path) -> Iterator[dict[str, Any]]:
         yield {"job": name, "processor_seconds": found["processor_seconds"]}  # its memory is that of the process that began it
 
 
-PARTS = {"small": small, "middle": middle, "large": large, "forms": forms, "zip": zipped, "teapot": teapot, "texels": texels, "help": helped}
+PARTS = {
+    "small": small, "middle": middle, "large": large, "forms": forms, "zip": zipped, "teapot": teapot, "texels": texels, "help": helped,
+}
 
 
 def jobs(parts: list[str]) -> list[dict[str, Any]]:

@@ -12,7 +12,7 @@ import time
 from collections.abc import Callable
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
 
@@ -29,6 +29,31 @@ def timed(run: Callable[[], Any], repeats: int = 5) -> dict[str, float]:
         run()
         seconds.append(time.perf_counter() - start)
     return {"seconds": statistics.median(seconds), "spread": max(seconds) - min(seconds), "runs": repeats}
+
+
+class Used(NamedTuple):
+    """What a process took: seconds on the clock and of the processor, its memory at most in MB, and what it printed."""
+
+    seconds: float
+    processor_seconds: float
+    peak_rss_mb: float
+    printed: str
+
+
+def used_by(command: list[str], environment: dict[str, str] | None = None) -> Used:
+    """Run a command and return what it took; raises SystemExit when it fails.
+
+    Its memory is at least that of the process that asks.
+    """
+    start = time.perf_counter()
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment)
+    assert process.stdout is not None
+    printed = process.stdout.read()
+    _, status, used = os.wait4(process.pid, 0)
+    seconds = time.perf_counter() - start
+    if os.waitstatus_to_exitcode(status):
+        raise SystemExit(f"{' '.join(command)} failed")
+    return Used(seconds, used.ru_utime + used.ru_stime, used.ru_maxrss * 1024 / 1e6, printed)
 
 
 def in_fresh_process(code: str, repeats: int = 5) -> list[dict[str, Any]]:

@@ -8,15 +8,12 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
-import subprocess
 import sys
 import tempfile
-import time
 from pathlib import Path
 from typing import Any
 
-from measure import save
+from measure import save, used_by
 from photographs import rti_set
 
 # Photographs, height, width, and options of the command.
@@ -33,17 +30,12 @@ def measured(part: str, model: str, folder: Path, options: tuple[str, ...]) -> d
     with tempfile.TemporaryDirectory() as place:
         out = Path(place) / "out"
         command = [sys.executable, "-m", "torchmat.cli", "fit", model, str(folder / "lights.lp"), "--no-cache", "--out", str(out), *options]
-        start = time.perf_counter()
-        process = subprocess.Popen(command, stdout=subprocess.DEVNULL)
-        _, status, used = os.wait4(process.pid, 0)
-        seconds = time.perf_counter() - start
-        if os.waitstatus_to_exitcode(status):
-            raise SystemExit(f"{' '.join(command)} failed")
+        used = used_by(command)
         report = json.loads((out / "report.json").read_text(encoding="utf-8"))
         count, height, width, _ = PARTS[part]
         row = {
-            "part": part, "model": model, "photographs": count, "height": height, "width": width, "seconds": seconds,
-            "processor_seconds": used.ru_utime + used.ru_stime, "peak_rss_mb": used.ru_maxrss * 1024 / 1e6,
+            "part": part, "model": model, "photographs": count, "height": height, "width": width, "seconds": used.seconds,
+            "processor_seconds": used.processor_seconds, "peak_rss_mb": used.peak_rss_mb,
             "load_seconds": report["load_seconds"], "fit_seconds": report["fit_seconds"],
             "psnr_db": report["held_out"]["psnr_db"], "relative_error": report["held_out"]["relative_error"],
             "bytes_written": sum(file.stat().st_size for file in out.rglob("*") if file.is_file()),

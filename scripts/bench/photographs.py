@@ -27,8 +27,6 @@ def rti_set(folder: Path, count: int, height: int, width: int, quality: int = 95
 
 
 def _photograph(path: Path, light: np.ndarray, number: int, height: int, width: int, quality: int) -> None:
-    import OpenImageIO as oiio
-
     noise = np.random.default_rng(number)
     codes = np.empty((height, width, 3), np.uint8)
     for top in range(0, height, _BAND):
@@ -37,7 +35,15 @@ def _photograph(path: Path, light: np.ndarray, number: int, height: int, width: 
         shown = 255 * np.minimum(values, 1) ** np.float32(1 / 2.2)
         shown += _NOISE * noise.standard_normal(shown.shape, np.float32)
         codes[rows] = shown.clip(0, 255).round()
-    spec = oiio.ImageSpec(width, height, 3, "uint8")
+    write_codes(path, codes, quality)
+
+
+def write_codes(path: Path, codes: np.ndarray, quality: int = 95) -> None:
+    """Write 8-bit codes [h, w, 3] with OpenImageIO, without waiting for the disk as `torchmat.images.write_image` does."""
+    import OpenImageIO as oiio
+
+    height, width, channels = codes.shape
+    spec = oiio.ImageSpec(width, height, channels, "uint8")
     spec.attribute("CompressionQuality", quality)
     out = oiio.ImageOutput.create(str(path))
     if not (out.open(str(path), spec) and out.write_image(codes) and out.close()):
