@@ -15,6 +15,9 @@ from torchmat import Btf
 # Stored bits are those of the plain road, which every machine has; `tests/fast` takes the other one.
 os.environ["TORCHMAT_FAST"] = "0"
 
+# Files whose tests say which parts a fit chooses, or what its bits are: a trial of a part takes there what steps it takes for users.
+_WHOLE_TRIALS = {"tests.fitting.test_distribution", "tests.fitting.test_microfacet", "tests.hard_cases.test_digests"}
+
 
 @pytest.fixture(scope="session")
 def caches(tmp_path_factory):
@@ -52,15 +55,21 @@ def small_network():
 
 @pytest.fixture(autouse=True)
 def hurried(request, monkeypatch, small_network):
-    """Let what ends a fit take a few steps, and the network that a choice tries last: hardly a test is about either.
+    """Let what ends a fit take a few steps, and so the trials of a part and the network that a choice tries last: hardly a test is about them.
 
-    The tests of the finish itself take all of its steps.
+    The tests of the finish itself take all of its steps; those of what parts a fit chooses, and of stored bits, all of a trial's.
     """
     from torchmat.fitting import finish
+    from torchmat.fitting.models.distribution import choose
+    from torchmat.fitting.models.microfacet import fit as microfacet
     from torchmat.fitting.recipe import RECIPES
     from torchmat.geometry import form_factors
 
-    if request.module.__name__.rpartition(".")[2] in ("test_finish", "test_form_factors", "test_indirect"):
+    module = request.module.__name__.rpartition(".")[2]
+    if request.module.__name__ not in _WHOLE_TRIALS:
+        monkeypatch.setattr(choose, "_SHORTEST", 4)
+        monkeypatch.setattr(microfacet, "_FEWEST", 4)
+    if module in ("test_finish", "test_form_factors", "test_indirect"):
         return
     monkeypatch.setattr(finish, "_STEPS", 10)
     monkeypatch.setattr(form_factors, "DIRECTIONS", 24)
