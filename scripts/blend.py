@@ -1,7 +1,5 @@
 """The same as `torchmat blend`."""
 
-import sys
+from torchmat.cli import program
 
-from torchmat.cli import main
-
-sys.exit(main(command="blend"))
+program(command="blend")

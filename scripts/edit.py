@@ -1,7 +1,5 @@
 """The same as `torchmat edit`."""
 
-import sys
+from torchmat.cli import program
 
-from torchmat.cli import main
-
-sys.exit(main(command="edit"))
+program(command="edit")

@@ -1,8 +1,6 @@
 """The same as `torchmat fit-many`."""
 
-import sys
-
-from torchmat.cli import main
+from torchmat.cli import program
 
 if __name__ == "__main__":  # worker processes import this file
-    sys.exit(main(command="fit-many"))
+    program(command="fit-many")

@@ -1,7 +1,5 @@
 """The same as `torchmat models`."""
 
-import sys
+from torchmat.cli import program
 
-from torchmat.cli import main
-
-sys.exit(main(command="models"))
+program(command="models")

@@ -1,7 +1,5 @@
 """The same as `torchmat pack`."""
 
-import sys
+from torchmat.cli import program
 
-from torchmat.cli import main
-
-sys.exit(main(command="pack"))
+program(command="pack")

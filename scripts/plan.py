@@ -1,7 +1,5 @@
 """The same as `torchmat plan`."""
 
-import sys
+from torchmat.cli import program
 
-from torchmat.cli import main
-
-sys.exit(main(command="plan"))
+program(command="plan")

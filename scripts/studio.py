@@ -1,7 +1,5 @@
 """The same as `torchmat studio`."""
 
-import sys
+from torchmat.cli import program
 
-from torchmat.cli import main
-
-sys.exit(main(command="studio"))
+program(command="studio")

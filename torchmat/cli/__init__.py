@@ -8,8 +8,9 @@ from __future__ import annotations
 import os
 import shutil
 import sys
+from typing import NoReturn
 
-from torchmat.cli.libraries import prepare
+from torchmat.cli.libraries import Ending, prepare
 from torchmat.cli.threads import let_threads_sleep
 from torchmat.progress import announced
 
@@ -41,6 +42,13 @@ def main(arguments: list[str] | None = None, command: str | None = None) -> int:
         from torchmat.cli.run import run
 
         return run(given, command)
+
+
+def program(command: str | None = None) -> NoReturn:
+    """Run the command line as a process of its own, which ends with it; arguments as of `main`."""
+    ending = Ending()
+    ending.code = main(command=command)
+    sys.exit(ending.code)
 
 
 def _shows_help() -> bool:

@@ -1,8 +1,6 @@
 """``python -m torchmat.cli``."""
 
-import sys
-
-from torchmat.cli import main
+from torchmat.cli import program
 
 if __name__ == "__main__":
-    sys.exit(main())
+    program()
