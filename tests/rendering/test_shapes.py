@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 
 import numpy as np
 import pytest
@@ -154,6 +155,22 @@ def test_trimesh_has_the_same_triangles_and_embree():
     assert np.array_equal(mesh.trimesh.vertices, mesh.position.double().numpy())
     assert "pyembree" in type(mesh.trimesh.ray).__module__
     assert mesh.trimesh is mesh.trimesh
+
+
+@pytest.mark.parametrize("name", ["teapot", "cube", "quad", "torus"])
+def test_rays_meet_what_those_of_trimesh_meet(name):
+    mesh, random = make_mesh(name), np.random.default_rng(0)
+    start = random.normal(size=(20_000, 3)) * 3
+    direction = random.normal(size=start.shape) * 0.5 - start
+    known = mesh.trimesh.ray.intersects_first(start, direction)
+    assert np.array_equal(mesh.first_met(start, direction), known) and 0 < (known >= 0).mean() < 1
+
+
+def test_rays_are_met_without_embree(monkeypatch):
+    mesh, start = make_mesh("cube"), np.array([[0.1, 0.2, 5.0], [9.0, 9.0, 9.0]])
+    known = mesh.first_met(start, np.tile([0.0, 0.0, -1.0], (2, 1)))
+    monkeypatch.setitem(sys.modules, "embreex.mesh_construction", None)
+    assert np.array_equal(make_mesh("cube").first_met(start, np.tile([0.0, 0.0, -1.0], (2, 1))), known) and known[0] >= 0 > known[1]
 
 
 def test_unknown_names_and_options_are_errors():

@@ -38,6 +38,39 @@ def to_disc(direction: Tensor) -> Tensor:
     return torch.stack((x, y), dim=1) / (1 + z)[:, None]
 
 
+def how_far_beyond(known: Tensor, wanted: Tensor) -> Tensor:
+    """Return how far in the disc each of `wanted` [P, 3] lies outside of what encloses `known` [n, 3], unit, above the horizon, [P].
+
+    It is what `Triangulation(known).find(wanted).beyond` says, without triangles: scipy's import takes as long as a small fit.
+    """
+    outline, points = _outline(to_disc(known).numpy()), to_disc(wanted).numpy()
+    step = np.roll(outline, -1, axis=0) - outline
+    offset = points[:, None] - outline
+    along = (offset * step).sum(axis=2) / np.maximum((step**2).sum(axis=1), np.finfo(float).tiny)
+    distance = np.linalg.norm(offset - along.clip(0, 1)[:, :, None] * step, axis=2).min(axis=1)
+    left = step[:, 0] * offset[:, :, 1] - step[:, 1] * offset[:, :, 0] >= 0
+    return torch.from_numpy(np.where(left.all(axis=1) & (len(outline) > 2), 0.0, distance))
+
+
+def _outline(points: np.ndarray) -> np.ndarray:
+    """Return the corners [m, 2] of the convex outline of points [n, 2], counter-clockwise (Andrew 1979, monotone chains)."""
+    ordered = [tuple(point) for point in np.unique(points, axis=0).tolist()]
+    if len(ordered) < 3:
+        return np.array(ordered)
+    chains = []
+    for way in (ordered, ordered[::-1]):
+        chain: list[tuple[float, float]] = []
+        for x, y in way:
+            while len(chain) > 1:
+                (ax, ay), (bx, by) = chain[-2:]
+                if (bx - ax) * (y - ay) - (by - ay) * (x - ax) > 0:
+                    break
+                chain.pop()
+            chain.append((x, y))
+        chains.append(chain[:-1])
+    return np.array(chains[0] + chains[1])
+
+
 class Triangulation:
     """Known directions [n, 3] above the horizon, in any number and arrangement, a single one or an arc among them.
 

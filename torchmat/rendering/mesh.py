@@ -6,6 +6,7 @@ Scenes are right-handed: x right, y up, z toward the viewer. Faces run counter-c
 from __future__ import annotations
 
 import functools
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -17,6 +18,7 @@ from torch import Tensor
 from torchmat import safe
 from torchmat.errors import DataError, check_option, message
 from torchmat.rendering import vertices
+from torchmat.rendering.embree import Embree
 from torchmat.rendering.mesh_file import read_triangles
 from torchmat.rendering.triangles import NONE, Triangles
 from torchmat.rendering.unwrap import PROJECTIONS, project
@@ -63,6 +65,14 @@ class Mesh:
         import trimesh
 
         return trimesh.Trimesh(self.position.numpy(), self.faces.numpy(), process=False)
+
+    @functools.cached_property
+    def first_met(self) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
+        """What tells the triangle [P] that rays from points [P, 3], from `origin`, along directions [P, 3] meet first; -1 is none."""
+        try:
+            return Embree(self).first
+        except ImportError:  # trimesh's own search is slow, and needs nothing else
+            return self.trimesh.ray.intersects_first
 
     @functools.cached_property
     def bounds(self) -> Tensor:

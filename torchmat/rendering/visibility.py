@@ -109,7 +109,7 @@ def first_hits(mesh: Mesh, origin: Tensor, direction: Tensor) -> Hits:
     # Embree has 24 bits, so the empty way to the mesh is gone before: from afar rays slip through between triangles.
     ahead = _dot(mesh.centre - mesh.offset - origin, direction).sub_(1.01 * mesh.radius).clamp_(min=0)
     origin = torch.addcmul(origin, ahead[:, None], direction)
-    triangle = torch.from_numpy(mesh.trimesh.ray.intersects_first(origin.numpy(), direction.contiguous().numpy())).long()
+    triangle = torch.from_numpy(mesh.first_met(origin.numpy(), direction.contiguous().numpy())).long()
     ray = (triangle >= 0).nonzero()[:, 0]
     triangle, origin, direction = triangle[ray], origin[ray], direction[ray]
     corner = mesh.position[mesh.faces[triangle]].double()
