@@ -177,7 +177,18 @@ class Material(Storable):
         self._check_directions(light, view, (uv.shape[-2], uv.shape[-1]))
         return shade_points(self, self._placed(uv).to(self.dtype), light, view)
 
+    def in_one_pass(self, light: Tensor, view: Tensor) -> Tensor | None:
+        """Return what is shown [..., 3, H, W] of `value`, by the compiled part; None where that is for plain torch.
+
+        That is the value, not below 0, and 0 where light or view is not above the horizon, without gradients.
+        """
+        return None
+
     def _shade_flat(self, light: Tensor, view: Tensor) -> Tensor:
+        if self._compiled is None and _goes_with_value(type(self)):
+            found = self.in_one_pass(light, view)
+            if found is not None:
+                return found
         above = (light[..., 2:3, :, :] > 0) & (view[..., 2:3, :, :] > 0)
         if bool(above.all()):
             value = self._evaluate(light, view).clamp(min=0)
@@ -312,6 +323,17 @@ def combine(weights: Tensor, layers: Tensor) -> Tensor:
     for index in range(1, count):
         total = total + weights[..., index : index + 1, :, :] * layers[index]
     return total
+
+
+_WITH_VALUE: dict[type[Material], bool] = {}  # what was found of each class
+
+
+def _goes_with_value(kind: type[Material]) -> bool:
+    """Return whether a class's `in_one_pass` is that of its `value`: a class that changes the latter alone has none."""
+    if kind not in _WITH_VALUE:
+        first = next(base for base in kind.__mro__ if "value" in vars(base) or "in_one_pass" in vars(base))
+        _WITH_VALUE[kind] = "in_one_pass" in vars(first)
+    return _WITH_VALUE[kind]
 
 
 _OPTION_NAMES: dict[type[Material], tuple[str, ...]] = {}  # what was found of each class

@@ -18,6 +18,7 @@ from torch import Tensor
 
 from torchmat import safe
 from torchmat.errors import RangeError, ShapeError, check_option, message
+from torchmat.fast import sums as fast_sums
 from torchmat.geometry import normals_from_slopes, slopes_from_height
 from torchmat.models.base import Material, combine
 from torchmat.models.bases import BASES
@@ -39,6 +40,9 @@ class Texture(Material):
 
     def value(self, light: Tensor, view: Tensor) -> Tensor:
         return combine(BASES["cosine"].evaluate(light, view), self.maps["albedo"][None])
+
+    def in_one_pass(self, light: Tensor, view: Tensor) -> Tensor | None:
+        return fast_sums.weighed(light, view, "cosine", self.maps["albedo"])
 
 
 class Lambert(Material):
@@ -78,6 +82,9 @@ class Lambert(Material):
         normal = safe.normalise(self.maps["normal"])  # interpolation and integer codes shorten it
         n_dot_l = combine(light, normal[:, None])
         return self.maps["albedo"] * n_dot_l.clamp(min=0)
+
+    def in_one_pass(self, light: Tensor, view: Tensor) -> Tensor | None:
+        return fast_sums.lambert(light, view, self.maps["albedo"], self.maps["normal"])
 
 
 class InSpace(Material):
@@ -150,6 +157,9 @@ class Ptm(Relightable):
         weights = BASES["polynomial"].evaluate(light, view)
         return self._decoded(combine(weights, self.maps["polynomial"].unflatten(0, (-1, 3))))
 
+    def in_one_pass(self, light: Tensor, view: Tensor) -> Tensor | None:
+        return fast_sums.weighed(light, view, "polynomial", self.maps["polynomial"], codes=not self._is_linear)
+
 
 class Lptm(Relightable):
     """Luminance PTM: one biquadratic of luminance per texel, times a colour per texel."""
@@ -169,6 +179,10 @@ class Lptm(Relightable):
         weights = BASES["polynomial"].evaluate(light, view)
         return self._decoded(combine(weights, self.maps["luminance"][:, None]) * self.maps["chroma"])
 
+    def in_one_pass(self, light: Tensor, view: Tensor) -> Tensor | None:
+        maps, codes = self.maps, not self._is_linear
+        return fast_sums.weighed(light, view, "polynomial", maps["luminance"], chroma=maps["chroma"], codes=codes)
+
 
 class Hsh(Relightable):
     """Hemispherical harmonics of the light: 4, 9 or 16 `terms` per texel and channel."""
@@ -186,3 +200,7 @@ class Hsh(Relightable):
 
     def value(self, light: Tensor, view: Tensor) -> Tensor:
         return self._decoded(combine(self._basis.evaluate(light, view), self.maps["harmonic"].unflatten(0, (-1, 3))))
+
+    def in_one_pass(self, light: Tensor, view: Tensor) -> Tensor | None:
+        basis = f"hsh{int(self.options['terms'])}"
+        return fast_sums.weighed(light, view, basis, self.maps["harmonic"], codes=not self._is_linear)

@@ -12,6 +12,7 @@ from typing import Any
 from torch import Tensor
 
 from torchmat.errors import check_option
+from torchmat.fast import sums as fast_sums
 from torchmat.models.base import Material, combine
 from torchmat.models.bases import BASES
 from torchmat.models.lobes import LOBES
@@ -59,3 +60,8 @@ class PhongSrf(Material):
     def value(self, light: Tensor, view: Tensor) -> Tensor:
         lobe = self._lobe.evaluate(self.maps["lobe"], light, view)
         return combine(self._basis.evaluate(light, view), self.maps["residual"].unflatten(0, (-1, 3))) + lobe
+
+    def in_one_pass(self, light: Tensor, view: Tensor) -> Tensor | None:
+        if self.options["base"] != "phong":
+            return None
+        return fast_sums.weighed(light, view, self.options["residual"], self.maps["residual"], phong=self.maps["lobe"])
