@@ -121,3 +121,14 @@ def test_pairs_flatten_and_keep_the_shape():
     assert rows.shape == other.shape == (40, 3)
     assert torch.equal(rows.reshape(4, 2, 5, 3)[2, 1, 3], light[2, :, 0, 0])
     assert torch.equal(other.reshape(4, 2, 5, 3)[2, 1, 3], view[:, 1, 3])
+
+
+def test_of_neighbours_as_near_those_with_the_lower_number_count(dtype):
+    places = torch.tensor([[x, y] for x in (-0.5, 0, 0.5) for y in (-0.5, 0, 0.5)], dtype=dtype)
+    known = torch.cat((places.repeat(9, 1), places.repeat_interleave(9, 0)), dim=1)
+    light, view = torch.zeros(1, 3, dtype=dtype), torch.zeros(1, 3, dtype=dtype)
+    for order in (torch.arange(81), torch.arange(81).flip(0)):
+        index, _ = neighbour_weights(known[order], light, view)
+        squared = (4 * known[order].square().sum(dim=1)).long()
+        # One at no distance, eight at 1/4, and three of the 24 at 1/2.
+        assert sorted(index[0].tolist()) == sorted(squared.sort(stable=True).indices[:12].tolist())

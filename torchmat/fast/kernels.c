@@ -45,6 +45,7 @@ int torchmat_version(void) { return 1; }
 #include "distribution.h"
 #include "elementary.h"
 #include "sums.h"
+#include "neighbours.h"
 #undef REAL
 #undef NAME
 #undef FLOOR
@@ -85,3 +86,4 @@ int torchmat_version(void) { return 1; }
 #include "distribution.h"
 #include "elementary.h"
 #include "sums.h"
+#include "neighbours.h"

@@ -39,6 +39,20 @@ APART void NAME(harmonics)(
     }
 }
 
+// The sum over terms of weights times layers [terms, channels, texels], of which a block is taken.
+APART void NAME(combine)(
+    REAL weight[][BLOCK], const REAL *layers, int64_t terms, int64_t channels, int64_t texels, int64_t some, REAL total[3][BLOCK]
+) {
+    for (int64_t c = 0; c < channels; c++) {
+        const REAL *from = layers + c * texels;
+        for (int64_t i = 0; i < some; i++) total[c][i] = weight[0][i] * from[i];
+        for (int64_t k = 1; k < terms; k++) {
+            from += channels * texels;
+            for (int64_t i = 0; i < some; i++) total[c][i] += weight[k][i] * from[i];
+        }
+    }
+}
+
 // The functions of a basis, [terms] planes; `half` where one of its kind wants it.
 APART void NAME(weights)(
     int64_t basis, int64_t terms, const REAL *scales, const REAL *light[3], const REAL *view[3], REAL half[3][BLOCK], int64_t some,
@@ -117,14 +131,7 @@ void NAME(weighed)(
                 NAME(normalised)(half[0], half[1], half[2], some, half);
             }
             NAME(weights)(basis, terms, scales, l, v, half, some, weight);
-            for (int64_t c = 0; c < channels; c++) {
-                const REAL *from = layers + c * texels + first;
-                for (int64_t i = 0; i < some; i++) total[c][i] = weight[0][i] * from[i];
-                for (int64_t k = 1; k < terms; k++) {
-                    from += channels * texels;
-                    for (int64_t i = 0; i < some; i++) total[c][i] += weight[k][i] * from[i];
-                }
-            }
+            NAME(combine)(weight, layers + first, terms, channels, texels, some, total);
             if (chroma)
                 for (int c = 2; c >= 0; c--)
                     for (int64_t i = 0; i < some; i++) total[c][i] = total[0][i] * chroma[c * texels + first + i];

@@ -10,7 +10,12 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from torchmat.fast import neighbours as fast_neighbours
+
 NEIGHBOURS = 12
+# Distances are compared in whole numbers of this part of 1, about the last place of single precision. Their squares are
+# exact in double precision, so that directions as far are known to be, and the one with the lower number is nearer.
+_ONE = 2.0**24
 _QUERIES = 4096  # at a time: what stays in the processor's cache
 _SLOPE_DAMPING = 0.05  # of the weighted spread; too few or coplanar neighbours fall back to a weighted mean
 
@@ -18,12 +23,25 @@ _SLOPE_DAMPING = 0.05  # of the weighted spread; too few or coplanar neighbours 
 def neighbour_weights(known: Tensor, light: Tensor, view: Tensor) -> tuple[Tensor, Tensor]:
     """Return (index [q, k], weight [q, k]) such that the sum of weight * table[index] interpolates a table [n, C].
 
-    `known` [n, 4] are projected directions, `light` and `view` [q, 3] unit vectors. Weights sum to 1.
+    `known` [n, 4] are projected directions, `light` and `view` [q, 3] unit vectors. Weights sum to 1. Of neighbours as near
+    those with the lower number count.
     """
-    queries = torch.cat((light[:, :2], view[:, :2]), dim=1)
-    index = _nearest(known, queries)
+    queries = projected(light, view)
+    found = nearby(known, light, view)
+    if found is not None:
+        return found[0].long(), found[1]
+    index = _nearest(_whole(known), _whole(queries))
     weight = [_local_weights(known[some], part) for some, part in zip(index.split(_QUERIES), queries.split(_QUERIES), strict=True)]
     return index, torch.cat(weight)
+
+
+def nearby(known: Tensor, light: Tensor, view: Tensor) -> tuple[Tensor, Tensor] | None:
+    """Return what `neighbour_weights` does, numbers in 32 bits, by the compiled part; None where that is for plain torch."""
+    return fast_neighbours.neighbours(known, projected(light, view), _whole(known), _ONE)
+
+
+def _whole(directions: Tensor) -> Tensor:
+    return (directions.detach().double() * _ONE).round()
 
 
 def _nearest(known: Tensor, queries: Tensor) -> Tensor:
@@ -31,9 +49,15 @@ def _nearest(known: Tensor, queries: Tensor) -> Tensor:
     from scipy.spatial import cKDTree  # here: most models interpolate nothing, and it takes a tenth of a second
 
     count = min(NEIGHBOURS, len(known))
-    tree = cKDTree(known.detach().double().numpy())
-    _, index = tree.query(queries.detach().double().numpy(), k=range(1, count + 1))
-    return torch.from_numpy(index)
+    asked = min(count + 1, len(known))
+    away, index = (torch.from_numpy(one) for one in cKDTree(known.numpy()).query(queries.numpy(), k=range(1, asked + 1)))
+    if asked > count:
+        # The tree takes any of those as far as the last; roots of squares that differ may be the same.
+        tied = (away[:, count] <= away[:, count - 1] * (1 + 1e-15)).nonzero()[:, 0]
+        for some in tied.split(_QUERIES):
+            squared = (queries[some][:, None] - known).square().sum(dim=2)
+            index[some, :count] = squared.sort(dim=1, stable=True).indices[:, :count]
+    return index[:, :count]
 
 
 def _local_weights(points: Tensor, queries: Tensor) -> Tensor:

@@ -13,7 +13,8 @@ import torch
 from torch import Tensor, nn
 
 from torchmat.errors import RangeError, ShapeError, message
-from torchmat.models.angular import neighbour_weights, pairs
+from torchmat.fast import neighbours as fast_neighbours
+from torchmat.models.angular import nearby, neighbour_weights, pairs
 from torchmat.models.base import Material, combine
 from torchmat.models.storage import MapSpec
 from torchmat.repeatable import wide_product
@@ -65,6 +66,11 @@ class Pca(Material):
         factors = (self.maps["weight"][:, 0].T[index] * share[..., None]).sum(dim=1)
         weights = factors.reshape(*shape, -1).movedim(-1, -3)
         return combine(weights, self.maps["component"].unflatten(0, (-1, 3)))
+
+    def in_one_pass(self, light: Tensor, view: Tensor) -> Tensor | None:
+        maps = self.maps
+        found = nearby(maps["directions"][:, 0].T, *pairs(light, view)[:2])
+        return None if found is None else fast_neighbours.components(light, view, *found, maps["weight"][:, 0].T, maps["component"])
 
 
 class LocalPca(Material):
