@@ -125,5 +125,5 @@ def test_other_shapes_of_directions_go_by_plain_torch(light, view):
     maps = maps_for(1, EVERY, 1, 6, torch.float64)
     material = Distribution(maps, parts=EVERY)
     light, view = torch.randn(light, dtype=torch.float64), torch.randn(view, dtype=torch.float64)
-    plain, found = on_both_roads(lambda: material.value(light, view))
-    assert torch.equal(plain, found)
+    plain, found = on_both_roads(lambda: material.value(light, view).detach())
+    assert float((plain - found).abs().max()) <= 1e-12 * float(plain.abs().max())  # of frames that are compiled

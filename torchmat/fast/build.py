@@ -23,7 +23,7 @@ from torchmat.cache_place import cache_place
 from torchmat.errors import DataError
 
 FOLDER = Path(__file__).parent
-SOURCE, VERSION = "kernels.c", 1
+SOURCE, VERSION = "kernels.c", 2
 _COMPILERS = ("cc", "gcc", "clang")
 _SECONDS = 120  # that a compiler may take; it takes two
 _ENDING = ".so"

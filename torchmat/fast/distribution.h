@@ -7,6 +7,13 @@
 #ifndef DISTRIBUTION_SHARED
 #define DISTRIBUTION_SHARED
 enum { SOME = 64, STRIPS = 16 };
+#define LOOK_OF                                                                                                       \
+    const REAL *light, const REAL *view, const REAL *half, const REAL *rise, const REAL *frame, const REAL *diffuse, \
+        const REAL *mask, const REAL *fresnel, const REAL *index, const REAL *table, const REAL *squares,             \
+        int64_t count, int64_t texels, int64_t size, int64_t lobes, int64_t mask_channels, int64_t dense
+#define LOOK_HERE                                                                                                  \
+    {light, view, half, rise, frame, diffuse, mask, fresnel, index, table, squares[0], squares[1], texels, size, \
+     lobes, mask_channels, dense}
 #endif
 
 // What is looked at: samples light, view, half [count, 3] and rise [count]; maps of `texels`, NULL for one that is not there:
@@ -20,8 +27,19 @@ typedef struct {
 // One sample of some texels: directions in their frames, and what the value is made of.
 typedef struct {
     REAL light[3][SOME], view[3][SOME], half[3][SOME], n_dot_l[SOME], n_dot_v[SOME], light_length[SOME], view_length[SOME];
-    REAL denominator[SOME], share[SOME], reflected[SOME], x[SOME], y[SOME], colour[3][SOME];
+    REAL denominator[SOME], share[SOME], reflected[SOME], x[SOME], y[SOME], s[SOME], t[SOME], colour[3][SOME];
+    int32_t at[SOME];  // the tap to the upper left on a packed table, and how far from it: s to the right, t down
 } NAME(Seen);
+
+// Two taps side by side on the packed table.
+typedef REAL NAME(eight) __attribute__((vector_size(8 * sizeof(REAL)), aligned(sizeof(REAL)), may_alias));
+
+static inline NAME(eight) NAME(both)(REAL left, REAL right) {
+    return (NAME(eight)){left, left, left, left, right, right, right, right};
+}
+
+static inline NAME(four) NAME(left_of)(NAME(eight) pair) { return (NAME(four)){pair[0], pair[1], pair[2], pair[3]}; }
+static inline NAME(four) NAME(right_of)(NAME(eight) pair) { return (NAME(four)){pair[4], pair[5], pair[6], pair[7]}; }
 
 static inline void NAME(turned)(const NAME(Look) *look, const REAL *direction, int64_t first, int64_t some, REAL to[3][SOME]) {
     for (int axis = 0; axis < 3; axis++) {
@@ -59,6 +77,15 @@ static void NAME(see)(const NAME(Look) *look, int64_t number, int64_t first, int
         seen->x[i] = (x * denser + 1) * halfway - (REAL)0.5;
         seen->y[i] = (1 - y * denser) * halfway - (REAL)0.5;
     }
+    const REAL last = (REAL)(look->size - 1);
+    const int32_t wide = (int32_t)look->size + 1;
+    for (int64_t i = 0; i < some; i++) {
+        const REAL x = seen->x[i] < 0 ? 0 : seen->x[i] > last ? last : seen->x[i];
+        const REAL y = seen->y[i] < 0 ? 0 : seen->y[i] > last ? last : seen->y[i];
+        // No place at all stays one in what is weighed.
+        const int32_t left = (int32_t)(x >= 0 ? x : 0), top = (int32_t)(y >= 0 ? y : 0);
+        seen->s[i] = x - left, seen->t[i] = y - top, seen->at[i] = top * wide + left;
+    }
     if (look->fresnel)
         for (int64_t i = 0; i < some; i++) {
             const REAL fresnel = look->fresnel[first + i];
@@ -68,29 +95,19 @@ static void NAME(see)(const NAME(Look) *look, int64_t number, int64_t first, int
         for (int64_t i = 0; i < some; i++) seen->reflected[i] = (REAL)M_PI;
 }
 
-// Where a place lies on the packed table, of which each texel has four lanes; no place at all stays one in what is weighed.
-static inline const NAME(four) *NAME(tap)(const NAME(Look) *look, REAL x, REAL y, int64_t lobe, REAL *s, REAL *t, int64_t *at) {
-    const REAL last = (REAL)(look->size - 1);
-    x = x < 0 ? 0 : x > last ? last : x;
-    y = y < 0 ? 0 : y > last ? last : y;
-    const int64_t left = x >= 0 ? (int64_t)x : 0, top = y >= 0 ? (int64_t)y : 0, wide = look->size + 1;
-    *s = x - left, *t = y - top;
-    *at = (lobe * wide + top) * wide + left;
-    return (const NAME(four) *)look->table + *at;
-}
-
 static void NAME(colours)(const NAME(Look) *look, int64_t first, int64_t some, NAME(Seen) *seen) {
     const int64_t wide = look->size + 1;
     for (int64_t i = 0; i < some; i++) {
-        NAME(four) total = {0, 0, 0, 0};
+        const REAL s = seen->s[i], t = seen->t[i];
+        NAME(eight) total = {0, 0, 0, 0, 0, 0, 0, 0};
         for (int64_t lobe = 0; lobe < look->lobes; lobe++) {
-            REAL s, t;
-            int64_t at;
-            const NAME(four) *tap = NAME(tap)(look, seen->x[i], seen->y[i], lobe, &s, &t, &at);
+            const REAL *tap = look->table + 4 * (lobe * wide * wide + seen->at[i]);
             const REAL weight = look->index ? look->index[lobe * look->texels + first + i] : 1;
-            total += weight * ((1 - t) * ((1 - s) * tap[0] + s * tap[1]) + t * ((1 - s) * tap[wide] + s * tap[wide + 1]));
+            const NAME(eight) upper = *(const NAME(eight) *)tap, lower = *(const NAME(eight) *)(tap + 4 * wide);
+            total += weight * (1 - t) * upper + weight * t * lower;
         }
-        for (int c = 0; c < 3; c++) seen->colour[c][i] = total[c];
+        const NAME(four) found = (1 - s) * NAME(left_of)(total) + s * NAME(right_of)(total);
+        for (int c = 0; c < 3; c++) seen->colour[c][i] = found[c];
     }
 }
 
@@ -104,14 +121,6 @@ void NAME(distribution_table)(const REAL *specular, REAL *table, int64_t lobes, 
     }
     (void)threads;
 }
-
-#define LOOK_OF                                                                                                       \
-    const REAL *light, const REAL *view, const REAL *half, const REAL *rise, const REAL *frame, const REAL *diffuse, \
-        const REAL *mask, const REAL *fresnel, const REAL *index, const REAL *table, const REAL *squares,             \
-        int64_t count, int64_t texels, int64_t size, int64_t lobes, int64_t mask_channels, int64_t dense
-#define LOOK_HERE                                                                                                  \
-    {light, view, half, rise, frame, diffuse, mask, fresnel, index, table, squares[0], squares[1], texels, size, \
-     lobes, mask_channels, dense}
 
 // The value [count, 3, texels].
 void NAME(distribution)(LOOK_OF, REAL *out, int64_t threads) {
@@ -134,7 +143,7 @@ void NAME(distribution)(LOOK_OF, REAL *out, int64_t threads) {
     }
 }
 
-// What the gradients are added to, all zeros at first; of what all texels share one row a strip.
+// What the gradients are added to; of what all texels share one row a strip.
 typedef struct {
     REAL *frame, *diffuse, *mask, *fresnel, *index, *table, *squares, *rise;
 } NAME(Sums);
@@ -147,28 +156,26 @@ static void NAME(pull_colours)(
     const int64_t wide = look->size + 1;
     const REAL last = (REAL)(look->size - 1);
     for (int64_t i = 0; i < some; i++) {
-        NAME(four) across = {0, 0, 0, 0}, down = {0, 0, 0, 0};
-        const NAME(four) given = {of_colour[0][i], of_colour[1][i], of_colour[2][i], 0};
+        const REAL s = seen->s[i], t = seen->t[i];
+        const NAME(eight) aside = NAME(both)(1 - s, s), apart = NAME(both)(-1, 1);
+        const NAME(eight) given = {of_colour[0][i], of_colour[1][i], of_colour[2][i], 0, of_colour[0][i], of_colour[1][i], of_colour[2][i], 0};
+        const NAME(eight) weighed = aside * given, pulled = apart * given;
+        NAME(eight) across = {0, 0, 0, 0, 0, 0, 0, 0}, down = across;
         for (int64_t lobe = 0; lobe < look->lobes; lobe++) {
-            REAL s, t;
-            int64_t at;
-            const NAME(four) *tap = NAME(tap)(look, seen->x[i], seen->y[i], lobe, &s, &t, &at);
-            const int64_t place = lobe * look->texels + first + i;
-            NAME(four) *to = (NAME(four) *)sums->table + at, pull = given;
-            if (look->index) {
-                const NAME(four) found = (1 - t) * ((1 - s) * tap[0] + s * tap[1]) + t * ((1 - s) * tap[wide] + s * tap[wide + 1]);
-                sums->index[place] += NAME(sum_of)(found * given);
-                pull = given * look->index[place];
-            }
-            to[0] += (1 - t) * (1 - s) * pull;
-            to[1] += (1 - t) * s * pull;
-            to[wide] += t * (1 - s) * pull;
-            to[wide + 1] += t * s * pull;
-            across += pull * ((1 - t) * (tap[1] - tap[0]) + t * (tap[wide + 1] - tap[wide]));
-            down += pull * ((1 - s) * (tap[wide] - tap[0]) + s * (tap[wide + 1] - tap[1]));
+            const int64_t at = 4 * (lobe * wide * wide + seen->at[i]), place = lobe * look->texels + first + i;
+            const REAL *tap = look->table + at, weight = look->index ? look->index[place] : 1;
+            REAL *to = sums->table + at;
+            const NAME(eight) upper = *(const NAME(eight) *)tap, lower = *(const NAME(eight) *)(tap + 4 * wide);
+            const NAME(eight) row = (1 - t) * upper + t * lower, pull = weight * weighed;
+            if (look->index) sums->index[place] += NAME(sum_of)(NAME(left_of)(row * weighed) + NAME(right_of)(row * weighed));
+            *(NAME(eight) *)to += (1 - t) * pull;
+            *(NAME(eight) *)(to + 4 * wide) += t * pull;
+            across += weight * row;
+            down += weight * (lower - upper);
         }
-        of_x[i] = seen->x[i] > 0 && seen->x[i] < last ? NAME(sum_of)(across) : 0;
-        of_y[i] = seen->y[i] > 0 && seen->y[i] < last ? NAME(sum_of)(down) : 0;
+        across *= pulled, down *= weighed;
+        of_x[i] = seen->x[i] > 0 && seen->x[i] < last ? NAME(sum_of)(NAME(left_of)(across) + NAME(right_of)(across)) : 0;
+        of_y[i] = seen->y[i] > 0 && seen->y[i] < last ? NAME(sum_of)(NAME(left_of)(down) + NAME(right_of)(down)) : 0;
     }
 }
 
@@ -183,14 +190,16 @@ static inline void NAME(pull_frame)(
         }
 }
 
+// `above` are the gradients of the value of these texels, one channel `apart` from the next.
 static void NAME(pull)(
-    const NAME(Look) *look, const NAME(Sums) *sums, int64_t number, int64_t first, int64_t some, const NAME(Seen) *seen, const REAL *above
+    const NAME(Look) *look, const NAME(Sums) *sums, int64_t number, int64_t first, int64_t some, const NAME(Seen) *seen, const REAL *above,
+    int64_t apart
 ) {
     REAL of_colour[3][SOME], of_lobe[SOME], of_l[SOME], of_light[3][SOME], of_view[3][SOME], of_half[3][SOME], of_x[SOME], of_y[SOME];
     const int64_t texels = look->texels;
     for (int64_t i = 0; i < some; i++) of_lobe[i] = of_l[i] = 0;
     for (int c = 0; c < 3; c++) {
-        const REAL *given = above + c * texels + first, *own = look->diffuse + c * texels + first;
+        const REAL *given = above + c * apart, *own = look->diffuse + c * texels + first;
         REAL *to = sums->diffuse + c * texels + first;
         const int64_t channel = (look->mask_channels == 3 ? c : 0) * texels + first;
         for (int64_t i = 0; i < some; i++) {
@@ -262,28 +271,68 @@ static void NAME(pull)(
     NAME(pull_frame)(look, sums->frame, look->half + 3 * number, first, some, of_half);
 }
 
-// The gradients for those of the value, `above` [count, 3, texels]. Of those with a strip there are STRIPS rows, to be added up.
-void NAME(distribution_gradients)(
-    LOOK_OF, const REAL *above, REAL *of_frame, REAL *of_diffuse, REAL *of_mask, REAL *of_fresnel, REAL *of_index, REAL *of_table,
-    REAL *of_squares, REAL *of_rise, int64_t threads
-) {
+// Zeros where the gradients of some texels and of one strip are added up.
+static void NAME(nothing_yet)(const NAME(Look) *look, const NAME(Sums) *sums, int64_t count, int64_t first, int64_t some) {
+    REAL *const planes[] = {sums->frame, sums->diffuse, sums->mask, sums->fresnel, sums->index};
+    const int64_t many[] = {9, 3, look->mask_channels, 1, look->lobes}, wide = look->size + 1;
+    for (int plane = 0; plane < 5; plane++)
+        for (int64_t c = 0; planes[plane] && c < many[plane]; c++) memset(planes[plane] + c * look->texels + first, 0, some * sizeof(REAL));
+    memset(sums->table, 0, 4 * look->lobes * wide * wide * sizeof(REAL));
+    memset(sums->rise, 0, count * sizeof(REAL));
+    sums->squares[0] = sums->squares[1] = 0;
+}
+
+// Add up the strips, one after the other, onto the first.
+static void NAME(gather)(REAL *strips, int64_t size, int64_t threads) {
+#pragma omp parallel for num_threads((int)threads) schedule(static)
+    for (int64_t part = 0; part < (size + 1023) / 1024; part++)
+        for (int64_t strip = 1; strip < STRIPS; strip++)
+            for (int64_t i = 1024 * part; i < 1024 * (part + 1) && i < size; i++) strips[i] += strips[strip * size + i];
+}
+
+// The gradient of specular maps for that of their packed table, whose last row and column go on.
+static void NAME(taken_from_table)(const REAL *of_table, REAL *of_specular, int64_t lobes, int64_t size) {
+    const int64_t wide = size + 1;
+    memset(of_specular, 0, 3 * lobes * size * size * sizeof(REAL));
+    for (int64_t at = 0; at < lobes * wide * wide; at++) {
+        const int64_t lobe = at / (wide * wide), y = at / wide % wide, x = at % wide;
+        const int64_t to = (y < size ? y : size - 1) * size + (x < size ? x : size - 1);
+        for (int64_t c = 0; c < 3; c++) of_specular[(3 * lobe + c) * size * size + to] += of_table[4 * at + c];
+    }
+}
+
+#ifndef GRADIENTS_OF
+#define GRADIENTS_OF                                                                                                          \
+    REAL *of_frame, REAL *of_diffuse, REAL *of_mask, REAL *of_fresnel, REAL *of_index, REAL *of_specular, REAL *of_squares, \
+        REAL *of_rise, REAL *of_table
+#define GRADIENTS_HERE                                                                                                            \
+    {of_frame, of_diffuse, of_mask, of_fresnel, of_index, of_table + strip * entries, of_squares + 2 * strip, of_rise + count * strip}
+#define GRADIENTS_DONE                              \
+    NAME(gather)(of_table, entries, threads);       \
+    NAME(gather)(of_squares, 2, 1);                 \
+    NAME(gather)(of_rise, count, 1);                \
+    NAME(taken_from_table)(of_table, of_specular, lobes, size);
+#endif
+
+// The gradients for those of the value, `above` [count, 3, texels]. Table, squares and rise have STRIPS rows, of which the first ends
+// as their sum.
+void NAME(distribution_gradients)(LOOK_OF, const REAL *above, GRADIENTS_OF, int64_t threads) {
     const NAME(Look) look = LOOK_HERE;
     const int64_t parts = (texels + SOME - 1) / SOME, entries = 4 * lobes * (size + 1) * (size + 1);
 #pragma omp parallel for num_threads((int)threads) schedule(static)
     for (int64_t strip = 0; strip < STRIPS; strip++) {
-        const NAME(Sums) sums = {
-            of_frame, of_diffuse, of_mask, of_fresnel, of_index, of_table + strip * entries, of_squares + 2 * strip, of_rise + count * strip,
-        };
+        const NAME(Sums) sums = GRADIENTS_HERE;
         NAME(Seen) seen;
+        const int64_t from = parts * strip / STRIPS * SOME, to = parts * (strip + 1) / STRIPS * SOME;
+        NAME(nothing_yet)(&look, &sums, count, from, (to < texels ? to : texels) - from);
         for (int64_t part = parts * strip / STRIPS; part < parts * (strip + 1) / STRIPS; part++) {
             const int64_t first = part * SOME, some = first + SOME < texels ? SOME : texels - first;
             for (int64_t number = 0; number < count; number++) {
                 NAME(see)(&look, number, first, some, &seen);
                 NAME(colours)(&look, first, some, &seen);
-                NAME(pull)(&look, &sums, number, first, some, &seen, above + 3 * number * texels);
+                NAME(pull)(&look, &sums, number, first, some, &seen, above + 3 * number * texels + first, texels);
             }
         }
     }
+    GRADIENTS_DONE
 }
-#undef LOOK_OF
-#undef LOOK_HERE

@@ -13,7 +13,7 @@ from torch import Tensor
 from torchmat.fast.call import call, fits, wants_gradient
 from torchmat.fast.switch import library
 
-_STRIPS = 16  # as in distribution.h
+STRIPS = 16  # as in distribution.h
 
 
 @dataclass(frozen=True)
@@ -68,7 +68,7 @@ class _Value(torch.autograd.Function):
         ctx.save_for_backward(light, view, half, *given)
         ctx.how = found, dense, plain
         maps = Maps(*given)  # type: ignore[arg-type]
-        arguments = _arguments(found, dense, (light, view, half), maps)
+        arguments = arguments_of(found, dense, (light, view, half), maps)
         out = light.new_empty(len(light), 3, *maps.diffuse.shape[1:])
         call(found, "distribution", *arguments, out)
         return out
@@ -82,46 +82,46 @@ class _Value(torch.autograd.Function):
             sources = [one for one, want in zip(maps.every, wanted, strict=True) if want and one is not None]
             gradients = iter(torch.autograd.grad(plain(light, view, half, maps), sources, above[0], create_graph=True))
             return (None,) * 6 + tuple(next(gradients) if want else None for want in wanted)
-        arguments = _arguments(found, dense, (light, view, half), maps)
-        of_planes = [None if one is None else torch.zeros(one.shape, dtype=one.dtype) for one in maps.planes]
-        of_table, of_squares, of_rise = (light.new_zeros(_STRIPS, size) for size in (_table_size(maps.specular), 2, len(light)))
-        call(found, "distribution_gradients", *arguments, above[0].contiguous(), *of_planes, of_table, of_squares, of_rise)
-        rise = None if maps.rise is None else _summed(of_rise).reshape(maps.rise.shape)
-        frame, diffuse, *others = of_planes
-        of_specular = _of_specular(_summed(of_table), maps.specular)
-        of = (rise, frame, _summed(of_squares), diffuse, of_specular, *others)
-        return (None,) * 6 + tuple(one if want else None for one, want in zip(of, wanted, strict=True))
+        arguments = arguments_of(found, dense, (light, view, half), maps)
+        gradients_of = Gradients(maps, len(light))
+        call(found, "distribution_gradients", *arguments, above[0].contiguous(), *gradients_of.places)
+        return (None,) * 6 + tuple(one if want else None for one, want in zip(gradients_of.every(), wanted, strict=True))
 
 
-def _table_size(specular: Tensor) -> int:
+class Gradients:
+    """Where the compiled part puts the gradients of what the value is made of."""
+
+    def __init__(self, maps: Maps, samples: int) -> None:
+        self.maps = maps
+        self._planes = [None if one is None else torch.empty(one.shape, dtype=one.dtype) for one in maps.planes]
+        self._specular = torch.empty(maps.specular.shape, dtype=maps.specular.dtype)
+        # Of what all texels share a row a strip, of which the first ends as the sum.
+        self._squares, self._rise, self._table = (
+            torch.empty(STRIPS, size, dtype=maps.diffuse.dtype) for size in (2, samples, table_size(maps.specular))
+        )
+
+    @property
+    def places(self) -> list[Tensor | None]:
+        """What the functions are given."""
+        return [*self._planes, self._specular, self._squares, self._rise, self._table]
+
+    def every(self) -> list[Tensor | None]:
+        """Return the gradients in the order in which a Maps is made."""
+        frame, diffuse, *others = self._planes
+        of_rise = None if self.maps.rise is None else self._rise[0].reshape(self.maps.rise.shape)
+        return [of_rise, frame, self._squares[0], diffuse, self._specular, *others]
+
+
+def table_size(specular: Tensor) -> int:
     return len(specular) // 3 * (specular.shape[-1] + 1) ** 2 * 4
 
 
-def _arguments(found: ctypes.CDLL, dense: bool, directions: tuple[Tensor, ...], maps: Maps) -> list[Any]:
+def arguments_of(found: ctypes.CDLL, dense: bool, directions: tuple[Tensor, ...], maps: Maps) -> list[Any]:
     """Return what the functions are given of samples and maps."""
     lobes, size = len(maps.specular) // 3, maps.specular.shape[-1]
-    table = maps.specular.new_empty(_table_size(maps.specular))
+    table = maps.specular.new_empty(table_size(maps.specular))
     call(found, "distribution_table", maps.specular.contiguous(), table, lobes, size)
     before = [*(one.reshape(len(one), 3) for one in directions), maps.rise, *maps.planes, table, maps.squares]
     texels, channels = maps.diffuse.shape[1] * maps.diffuse.shape[2], 1 if maps.specular_mask is None else len(maps.specular_mask)
     counts = [len(directions[0]), texels, size, lobes, channels, dense]
     return [*(one if one is None else one.contiguous() for one in before), *counts]
-
-
-def _summed(strips: Tensor) -> Tensor:
-    """Return the sum of the strips, one after the other."""
-    total = strips[0].clone()
-    for strip in strips[1:]:
-        total += strip
-    return total
-
-
-def _of_specular(of_table: Tensor, specular: Tensor) -> Tensor:
-    """Return the gradient of the specular maps of that of their packed table, whose last row and column go on."""
-    size = specular.shape[-1]
-    whole = of_table.reshape(-1, size + 1, size + 1, 4)
-    own = whole[:, :size, :size].clone()
-    own[:, -1] += whole[:, size, :size]
-    own[:, :, -1] += whole[:, :size, size]
-    own[:, -1, -1] += whole[:, size, size]
-    return own[..., :3].movedim(-1, 1).reshape(specular.shape)

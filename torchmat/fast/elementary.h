@@ -33,7 +33,7 @@ static inline REAL NAME(exponential)(REAL x) {
     const NAME(Bits) turns = {x * (REAL)M_LOG2E + WHOLE_AT};
     const REAL whole = turns.real - WHOLE_AT, rest = (x - whole * LN2_HIGH) - whole * LN2_LOW;
     REAL sum = 1;
-    for (int k = EXPONENTIAL_TERMS; k > 0; k--) sum = sum * rest / k + 1;
+    for (int k = EXPONENTIAL_TERMS; k > 0; k--) sum = sum * (rest * (1 / (REAL)k)) + 1;
     const NAME(Bits) scale = {.whole = (WHOLE)(((UNSIGNED)turns.whole + BIAS) << MANTISSA)};
     const REAL found = sum * scale.real;
     return x > MOST_EXPONENT ? (REAL)INFINITY : x < -MOST_EXPONENT ? 0 : found;

@@ -14,6 +14,7 @@ from torch import Tensor
 
 from torchmat import safe
 from torchmat.errors import RangeError, ShapeError, check_finite, message
+from torchmat.fast import normals as fast_normals
 
 STRENGTH_RANGE = (1.0, 8.0)
 # A height of ten texture widths is no relief of a surface; it comes from a unit taken for another.
@@ -63,6 +64,11 @@ def slopes_from_height(height: Tensor, height_scale: float = 1.0, tiles: bool = 
 
 def normals_from_slopes(slopes: Tensor) -> Tensor:
     """Return unit normals [..., 3, H, W] of slopes [..., 2, H, W]: a flank that rises to the right faces left."""
+    found = fast_normals.normals(slopes, _normals_of)
+    return _normals_of(slopes) if found is None else found
+
+
+def _normals_of(slopes: Tensor) -> Tensor:
     flat = torch.ones_like(slopes[..., :1, :, :])
     return safe.normalise(torch.cat((-slopes, flat), dim=-3))
 

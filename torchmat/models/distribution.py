@@ -19,6 +19,8 @@ from torch import Tensor
 from torchmat import frames, safe
 from torchmat.errors import RangeError, ShapeError, check_option, check_positive, message
 from torchmat.fast import distribution as fast_distribution
+from torchmat.fast import frames as fast_frames
+from torchmat.fast.distribution_misfit import Samples, misfit, serves
 from torchmat.geometry import normals_from_slopes, slopes_from_height, slopes_from_normals
 from torchmat.models.base import Material, combine
 from torchmat.models.ggx import smith_denominator
@@ -175,15 +177,28 @@ class Distribution(Material):
         rise = self._rise(squared) if "fresnel" in self.maps else None
         return torch.addcmul(self._specular(colour, share, rise), self.maps["diffuse"], n_dot_l)
 
+    def misfit(self, light: Tensor, view: Tensor, samples: Samples) -> Tensor | None:
+        """Return the sum of the squared residuals of samples under directions [n, 3, 1, 1], a number.
+
+        None where the compiled part does not serve: then it is what `value` gives, compared as `samples` say.
+        """
+        if "masking" not in self.maps or not self._lobes or not serves(light, view, *self.maps.values()):
+            return None
+        half, squared = _half(light, view)
+        return misfit(light, view, half, self._for_smith(squared, self._frame()[0]), self.specular_spacing != EVEN, samples)
+
+    def _for_smith(self, squared: Tensor, frame: Tensor | None) -> fast_distribution.Maps:
+        """Return what the compiled part is given of the maps."""
+        rise = self._rise(squared) if "fresnel" in self.maps else None
+        own = {name: self.maps[name] for name in _FAST if name in self.maps}
+        return fast_distribution.Maps(rise, frame, self.maps["masking"].square(), **own)
+
     def _masked(self, light: Tensor, view: Tensor, frame: Tensor | None) -> Tensor:
         """Return the value by Smith's denominator, of directions that are turned into the texels' frames."""
         half, squared = _half(light, view)  # before they are turned: rounding would decide it where they are opposite
-        squares, rise = self.maps["masking"].square(), self._rise(squared) if "fresnel" in self.maps else None
-        found = fast_distribution.value(
-            light, view, half, fast_distribution.Maps(rise, frame, squares, **{name: self.maps[name] for name in _FAST if name in self.maps}),
-            self.specular_spacing != EVEN, self._by_smith,
-        )
-        return self._smiths(light, view, half, rise, frame, squares) if found is None else found
+        given = self._for_smith(squared, frame)
+        found = fast_distribution.value(light, view, half, given, self.specular_spacing != EVEN, self._by_smith)
+        return self._smiths(light, view, half, given.rise, frame, given.squares) if found is None else found
 
     def _by_smith(self, light: Tensor, view: Tensor, half: Tensor, given: fast_distribution.Maps) -> Tensor:
         """Return what `_smiths` does of other maps."""
@@ -239,17 +254,9 @@ class Distribution(Material):
         return frame
 
     def _make_frame(self) -> tuple[Tensor, Tensor | None]:
-        if "normal" in self.maps:
-            normal = safe.normalise(self.maps["normal"])
-        else:
-            normal = torch.zeros(3, *self.size, dtype=self.dtype)
-            normal[2] = 1
-        tangent, bitangent = frames.tangent_frame(normal)
-        if "rotation" in self.maps:
-            cosine, sine = safe.normalise(self.maps["rotation"]).split(1)
-            tangent, bitangent = cosine * tangent + sine * bitangent, cosine * bitangent - sine * tangent
-        frame = torch.stack((tangent, bitangent, normal), dim=1)
-        return frame, normal[:, None] if "normal" in self.maps else None
+        normal, rotation = (self.maps[name] if name in self.maps else None for name in ("normal", "rotation"))
+        frame = fast_frames.frames(normal, rotation, lambda normal, rotation: _frame_of(normal, rotation)[0])
+        return _frame_of(normal, rotation) if frame is None else (frame, None if normal is None else frame[:, 2:])
 
     def _looked_up(self, local: Tensor) -> Tensor:
         """Return the specular colour [..., 3, h, w] for half vectors in the texels' frames."""
@@ -277,6 +284,21 @@ class Distribution(Material):
         below = place.detach().floor().clamp(max=TILT_SAMPLES - 2).long()
         tilt = self.maps["tilt"].flatten()
         return 1 - torch.lerp(tilt[below], tilt[below + 1], place - below)
+
+
+def _frame_of(given: Tensor | None, rotation: Tensor | None) -> tuple[Tensor, Tensor | None]:
+    """Return tangent, bitangent and normal, turned by the rotation, as [xyz, 3, H, W], and the normal; one of both may not be there."""
+    if given is None:
+        assert rotation is not None
+        normal = torch.zeros(3, *rotation.shape[1:], dtype=rotation.dtype)
+        normal[2] = 1
+    else:
+        normal = safe.normalise(given)
+    tangent, bitangent = frames.tangent_frame(normal)
+    if rotation is not None:
+        cosine, sine = safe.normalise(rotation).split(1)
+        tangent, bitangent = cosine * tangent + sine * bitangent, cosine * bitangent - sine * tangent
+    return torch.stack((tangent, bitangent, normal), dim=1), None if given is None else normal[:, None]
 
 
 def _half(light: Tensor, view: Tensor) -> tuple[Tensor, Tensor]:

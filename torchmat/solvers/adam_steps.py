@@ -31,12 +31,19 @@ class AdamSteps:
     def step(self, rates: Sequence[float]) -> None:
         """Change the parameters in place by one step at these rates."""
         first, second = self.betas
-        for number, (parameter, rate) in enumerate(zip(self.parameters, rates, strict=True)):
-            if parameter.grad is None:
-                continue
+        found = {number: parameter.grad for number, parameter in enumerate(self.parameters) if parameter.grad is not None}
+        if not found:
+            return
+        moved, gradients = list(found), list(found.values())
+        for number in moved:
             self._steps[number] += 1
-            taken, mean, square = self._steps[number], self._means[number], self._squares[number]
-            mean.lerp_(parameter.grad, 1 - first)
-            square.mul_(second).addcmul_(parameter.grad, parameter.grad, value=1 - second)
-            size = square.sqrt().div_(math.sqrt(1 - second**taken)).add_(self.eps)
-            parameter.addcdiv_(mean, size, value=-rate / (1 - first**taken))
+        parameters = [self.parameters[number] for number in moved]
+        means, squares = ([every[number] for number in moved] for every in (self._means, self._squares))
+        # Tensor by tensor the same operations as one by one, without Python between them.
+        torch._foreach_lerp_(means, gradients, 1 - first)
+        torch._foreach_mul_(squares, second)
+        torch._foreach_addcmul_(squares, gradients, gradients, 1 - second)
+        sizes = torch._foreach_sqrt(squares)
+        torch._foreach_div_(sizes, [math.sqrt(1 - second ** self._steps[number]) for number in moved])
+        torch._foreach_add_(sizes, self.eps)
+        torch._foreach_addcdiv_(parameters, means, sizes, [-rates[number] / (1 - first ** self._steps[number]) for number in moved])

@@ -89,6 +89,13 @@ class Surface:
         clipped = self.training.btf.clipped_weight * (flags == CLIPPED)
         return torch.from_numpy(np.ascontiguousarray(self.pixels[index])), weight + clipped
 
+    @property
+    def weights(self) -> Tensor:
+        """What samples of each flag count, [3]: `values` says the same of each sample."""
+        found = torch.zeros(3, dtype=self.training.dtype)
+        found[VALID], found[CLIPPED] = 1.0, self.training.btf.clipped_weight
+        return found
+
     def shadow(self, samples: slice | range) -> Tensor:
         """Return how much light reaches each texel in some samples, [k, 1, H, W]."""
         return self.lit[self.training.btf.light_index[samples.start : samples.stop]]

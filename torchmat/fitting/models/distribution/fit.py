@@ -14,6 +14,8 @@ from typing import Any, Literal
 import torch
 from torch import Tensor
 
+from torchmat.fast.distribution_misfit import Samples
+from torchmat.fast.roughness import roughness
 from torchmat.fitting.models.distribution.choose import Choice
 from torchmat.fitting.models.distribution.options import DistributionOptions
 from torchmat.fitting.models.distribution.parameters import (
@@ -90,6 +92,9 @@ def fit_distribution_on_relief(surface: Surface, height: Tensor, **options: Any)
 
 def roughness_of(log_specular: Tensor) -> Tensor:
     """Return the sum of the differences between neighbours, as their squares where they are small: a peak costs little more than noise."""
+    found = roughness(log_specular, _SMALL)
+    if found is not None:
+        return found
     across, down = (torch.sqrt(one * one + _SMALL * _SMALL) - _SMALL for one in (log_specular.diff(dim=-1), log_specular.diff(dim=-2)))
     # Dimension by dimension, which rounds alike on any number of threads.
     return across.sum(dim=-1).sum(dim=-1).sum() + down.sum(dim=-1).sum(dim=-1).sum()
@@ -232,14 +237,41 @@ class DistributionFit:
         return float(found[EXPONENT]) if found else self._given_exponent or SCHLICK
 
     def predict(self, raw: dict[str, Tensor], parts: Parts, surface: Surface, rows: Tensor) -> Tensor:
-        btf, dtype = surface.training.btf, surface.training.dtype
-        light, view = btf.directions(rows, dtype)
+        """Return what the surface shows in samples `rows`, [k, 3, H, W]."""
+        btf = surface.training.btf
+        flat, ambient = self._shown(raw, parts)
+        shaded = flat.value(*btf.directions(rows, surface.training.dtype))
+        return shaded if self.height is None else shaded * surface.lit[btf.light_index[rows]] + ambient
+
+    def misfit(self, raw: dict[str, Tensor], parts: Parts, rows: Tensor, share: float) -> Tensor:
+        """Return `share` of the mean squared residual of samples `rows` of the surface."""
+        surface, asked = self.surface, self.objective.asked
+        if isinstance(asked, str) and surface.training.btf.near is None:
+            flat, ambient = self._shown(raw, parts)
+            light, view = surface.training.btf.directions(rows, surface.training.dtype)
+            found = flat.misfit(light, view, self._samples(rows, ambient, share / (len(rows) * 3 * flat.texels)))
+            if found is not None:
+                return found
+        values, valid = surface.values(rows)
+        squares = self.objective.squares(self.predict(raw, parts, surface, rows), values, valid)
+        return squares.mean() * (squares.numel() / values.numel() * share)
+
+    def _samples(self, rows: Tensor, ambient: Tensor, each: float) -> Samples:
+        """Return samples of the surface as the compiled part is given them, each of which counts so much."""
+        surface, raised = self.surface, self.height is not None
+        return Samples(
+            torch.from_numpy(surface.pixels), torch.from_numpy(surface.flags), rows, surface.weights * each, surface.lit if raised else None,
+            surface.training.btf.light_index[rows] if raised else None, ambient if raised else None, self.objective.darkest,
+            DISPLAY_POWER if self.objective.asked == DISPLAY else 0.0,
+        )
+
+    def _shown(self, raw: dict[str, Tensor], parts: Parts) -> tuple[Distribution, Tensor]:
+        """Return the material of parameters on the flat surface, with the height's normals, and the ambient."""
         maps = maps_of(raw | self.known)
         ambient, exponent = maps.pop("ambient"), maps.pop(EXPONENT, None)
         if "normal" not in maps and self.height is not None:
-            maps["normal"] = normals_from_slopes(surface.slopes)
-        shaded = self._flat(maps, parts, exponent).value(light, view)
-        return shaded if self.height is None else shaded * surface.lit[btf.light_index[rows]] + ambient
+            maps["normal"] = normals_from_slopes(self.surface.slopes)
+        return self._flat(maps, parts, exponent), ambient
 
     def _flat(self, maps: dict[str, Tensor], parts: Parts, exponent: Tensor | None) -> Distribution:
         names = (*parts.names, *(["normal"] if "normal" in maps and not parts.normal else []))
@@ -256,17 +288,14 @@ class DistributionFit:
         self, raw: dict[str, Tensor], parts: Parts, solver: Stepping, samples: Tensor, until: float, watch: Watch | None
     ) -> Descent:
         """Change `raw` by `solver`, all texels and maps at once, on some `samples`; only what has a `watch` is noted."""
-        surface, training = self.surface, self.surface.training
+        training = self.surface.training
         texels = training.btf.height * training.btf.width
 
         def objective(rows: Tensor | None) -> float:
             total, every = 0.0, samples if rows is None else rows
             for batch in every.split(self._images):
-                values, valid = surface.values(batch)
                 with torch.enable_grad():
-                    squares = self.objective.squares(self.predict(raw, parts, surface, batch), values, valid)
-                    share = squares.numel() / values.numel() * len(batch) / len(every)
-                    loss = squares.mean() * (share / self.objective.unit)
+                    loss = self.misfit(raw, parts, batch, len(batch) / len(every) / self.objective.unit)
                 total += float(loss.detach())
                 if not math.isfinite(total):  # look-ups in places that are none may end the process
                     return total
