@@ -9,6 +9,7 @@ import torch
 from tests.fast.conftest import on_both_roads, with_threads
 from tests.fast.test_distribution import CASES, EVERY, agree, directions, maps_for
 
+import torchmat as tm
 from torchmat import fast
 from torchmat.fast.distribution_misfit import Samples
 from torchmat.fitting.models.distribution.fit import roughness_of
@@ -147,3 +148,23 @@ def test_roughness_is_that_of_plain_torch(shape, dtype):
 
     plain, found = on_both_roads(made)
     assert float((plain - found).abs().max()) <= (1e-6 if dtype == torch.float32 else 1e-14) * float(plain.abs().max().clamp(min=1))
+
+
+@pytest.mark.parametrize("geometry", ["flat", "given"])
+@pytest.mark.parametrize("objective", ["display", "linear"])
+def test_a_fit_takes_the_same_steps_by_either_road(geometry, objective):
+    light, view = (one[:, :, 0, 0] for one in directions(torch.float64))
+    above = (light[:, 2] > 0) & (view[:, 2] > 0)
+    light, view = light[above][:40], view[above][:40]
+    images = torch.rand(len(light), 3, 5, 7, dtype=torch.float64) * light[:, 2, None, None, None]
+    btf = tm.Btf.from_tensors(images, light, view)
+    height = torch.linspace(0, 0.05, 35, dtype=torch.float64).reshape(1, 5, 7)
+
+    def fitted():
+        shape = "flat" if geometry == "flat" else height
+        options = {"geometry": shape, "objective": objective, "specular_size": 6, "lobes": 2, "rotation": True, "fresnel": True}
+        return tm.fit(btf, "distribution", **options, effort=0.01, dtype=torch.float64, holdout=0.0, finish=False, measure="none", progress=False).material
+
+    plain, found = on_both_roads(fitted)
+    for name, expected in plain.maps.items():
+        assert float((expected - found.maps[name]).detach().abs().max()) < 1e-9 * float(expected.detach().abs().max()), name
