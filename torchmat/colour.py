@@ -10,20 +10,19 @@ from torch import Tensor
 
 from torchmat import safe
 
-_KNEE, _KNEE_ENCODED = 0.0031308, 0.04045  # of the curve of sRGB: a line below
-# These formulas are kornia's, whose import takes as long as a fit of a small material; the tests hold them to it.
-_TO_XYZ = ((0.412453, 0.357580, 0.180423), (0.212671, 0.715160, 0.072169), (0.019334, 0.119193, 0.950227))
-_WHITE = (0.95047, 1.0, 1.08883)
-_LAB_KNEE = 0.008856
 
 def srgb_to_linear(image: Tensor) -> Tensor:
-    """Return linear RGB of sRGB-encoded `image` [..., 3, H, W] (IEC 61966-2-1)."""
-    return torch.where(image > _KNEE_ENCODED, torch.pow((image + 0.055).clamp(min=0.0) / 1.055, 2.4), image / 12.92)
+    """Return linear RGB of sRGB-encoded `image` [..., 3, H, W] (IEC 61966-2-1, through kornia)."""
+    from kornia.color import rgb_to_linear_rgb
+
+    return rgb_to_linear_rgb(image)
 
 
 def linear_to_srgb(image: Tensor) -> Tensor:
-    """Return the sRGB encoding of linear `image` [..., 3, H, W] (IEC 61966-2-1)."""
-    return torch.where(image > _KNEE, 1.055 * torch.pow(image.clamp(min=_KNEE), 1 / 2.4) - 0.055, 12.92 * image)
+    """Return the sRGB encoding of linear `image` [..., 3, H, W] (IEC 61966-2-1, through kornia)."""
+    from kornia.color import linear_rgb_to_rgb
+
+    return linear_rgb_to_rgb(image)
 
 
 def luminance(image: Tensor, dim: int = -3) -> Tensor:
@@ -37,12 +36,10 @@ def display(image: Tensor) -> Tensor:
 
 
 def srgb_to_lab(image: Tensor) -> Tensor:
-    """Return CIE L*a*b* (D65) of sRGB-encoded `image` in [0, 1], planes [..., 3, H, W], by the numbers that kornia has."""
-    of_white = torch.einsum("oi,...ihw->...ohw", torch.tensor(_TO_XYZ, dtype=image.dtype), srgb_to_linear(image))
-    of_white = of_white / torch.tensor(_WHITE, dtype=image.dtype)[:, None, None]
-    root = torch.pow(of_white.clamp(min=_LAB_KNEE), 1 / 3)
-    x, y, z = torch.where(of_white > _LAB_KNEE, root, 7.787 * of_white + 4 / 29).unbind(-3)
-    return torch.stack((116.0 * y - 16.0, 500.0 * (x - y), 200.0 * (y - z)), dim=-3)
+    """Return CIE L*a*b* (D65) of sRGB-encoded `image` in [0, 1], planes [..., 3, H, W] (through kornia)."""
+    from kornia.color import rgb_to_lab
+
+    return rgb_to_lab(image)
 
 
 def _hue(a: Tensor, b: Tensor) -> Tensor:

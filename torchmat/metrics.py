@@ -7,7 +7,7 @@ Predictions and targets are linear RGB planes [k, 3, H, W] in the package's valu
 - `psnr_db`: peak 1, after clamping to [0, 1] and sRGB encoding; pooled over all samples; capped at 200 dB.
 - `psnr_log_db`: peak 1, after the mu-law log(1 + mu v) / log(1 + mu), mu = 5000, usual for HDR images (Kalantari and
   Ramamoorthi 2017): sees dark texels beside highlights that `psnr_db` clamps.
-- `ssim`: as kornia has it, window 11, on the sRGB-encoded images; None below 6 texels on a side, where it is not defined.
+- `ssim`: kornia's, window 11, on the sRGB-encoded images; None below 6 texels on a side, where it is not defined.
 - `delta_e`: mean CIEDE2000.
 
 Invalid samples count nowhere; windows of SSIM that reach over them see black in both images. Where a target is
@@ -24,10 +24,10 @@ from torch import Tensor
 
 from torchmat import colour
 from torchmat.bootstrap import ratio_interval
-from torchmat.similarity import WINDOW, moments, similarity
 
 _MU = 5000.0
 _CAP_DB = 200.0
+_SSIM_WINDOW = 11
 BAND_VALUES = 4_000_000  # of a picture are worked on at a time: a photograph's would take gigabytes in one
 
 
@@ -110,9 +110,11 @@ class SampleErrors:
             inside = torch.where(valid, values, torch.zeros_like(values))
             return inside.sum(dim=(1, 2), dtype=torch.float64) / valid.sum(dim=(1, 2))
 
-        if min(shown.shape[-2:]) > WINDOW // 2:
-            alike = similarity(moments(shown.float()), moments(wanted.float()))
-            self.ssim.append(mean(alike.mean(dim=1)))
+        if min(shown.shape[-2:]) > _SSIM_WINDOW // 2:
+            from kornia.metrics import ssim
+
+            similarity = ssim(shown.float(), wanted.float(), _SSIM_WINDOW)
+            self.ssim.append(mean(similarity.mean(dim=1)))
         lab = [colour.srgb_to_lab(image) for image in (shown, wanted)]
         self.delta_e.append(mean(colour.ciede2000(*lab)))
 
