@@ -49,6 +49,7 @@ int torchmat_version(void) { return 2; }
 #include "distribution_misfit.h"
 #include "frames.h"
 #include "roughness.h"
+#include "microfacet.h"
 #undef REAL
 #undef NAME
 #undef FLOOR
@@ -93,3 +94,4 @@ int torchmat_version(void) { return 2; }
 #include "distribution_misfit.h"
 #include "frames.h"
 #include "roughness.h"
+#include "microfacet.h"

@@ -16,6 +16,7 @@ from torch import Tensor
 
 from torchmat import frames, safe
 from torchmat.errors import check_option
+from torchmat.fast import microfacet as fast_microfacet
 from torchmat.geometry import normals_from_slopes, slopes_from_height, slopes_from_normals
 from torchmat.models.base import Material, combine
 from torchmat.models.ggx import Stretched, ggx_share, schlick_rise, squared_alpha, stretched_share, usual_f90
@@ -153,6 +154,9 @@ class Microfacet(Material):
             coat = ggx_share(light, view, half, squared_alpha(maps["coat_roughness"]), _GRAZING)
             found = (found if through is None else found * through) + coat * torch.lerp(maps["coat"], usual_f90(maps["coat"]), rise)
         return found + self._sheen(half, *cosines) if "sheen" in parts else found
+
+    def in_one_pass(self, light: Tensor, view: Tensor) -> Tensor | None:
+        return fast_microfacet.shown(light, view, dict(self.maps.items()), "layered" in self.options["parts"])
 
     def _rolled(self, cosine: Tensor) -> Tensor:
         first, last = self.maps["rolloff"].unbind()
