@@ -70,7 +70,7 @@ def tiling_of(images: Tensor | Iterable[Tensor]) -> Tiling:
     for block in (images,) if isinstance(images, Tensor) else images:
         grey = block.detach().mean(dim=1, dtype=torch.float64)
         for number, lines in enumerate((grey, grey.mT)):  # [n, along, which]
-            step = (lines.roll(-1, -1) - lines).square().sum(dim=(0, 1))
+            step = lines.roll(-1, -1).sub_(lines).square_().sum(dim=(0, 1))
             varies = lines.var(dim=1, correction=0).sum(dim=0)
             if len(steps) < 2:
                 steps.append(step)

@@ -60,7 +60,7 @@ def _products(
     for block in band.blocks(used, dtype, band=True):
         rows = slice(block.samples.start, block.samples.stop)
         images = block.images if encode is None else encode(block.images)
-        images = images if block.weight is None else images * block.weight
+        images = images if block.weight is None else images.mul_(block.weight.to(dtype))
         if sums is not None:
             texels = band.height * band.width
             share = torch.full((1, 1), float(texels)) if block.weight is None else block.weight.sum(dim=(2, 3))
@@ -111,7 +111,7 @@ def stream_deficit(btf: Btf, design: Design, used: Tensor, explained: Tensor) ->
         weight = weight[:, 0].flatten(1)
         if total is None:
             total = torch.zeros(columns.shape[1], texels, dtype=torch.float64)
-        hit = ((weight < 1) & used[rows, None]).any(dim=0)
+        hit = (weight if bool(used[rows].all()) else weight[used[rows]]).amin(dim=0) < 1
         touched |= hit
         part = torch.zeros(len(total), int(hit.sum()), dtype=torch.float64)
         add_product(part, columns[rows], (1 - weight[:, hit].double()) * used[rows, None])
