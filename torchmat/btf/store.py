@@ -30,10 +30,15 @@ def taken(array: np.ndarray, samples: np.ndarray | slice) -> np.ndarray:
     return found
 
 
-def release(array: np.ndarray, samples: range) -> None:
-    """Drop the pages of some rows of a large mapped array from memory; what was written into a shared map stays in its file."""
+def _large(array: np.ndarray) -> bool:
     mapped = getattr(array, "_mmap", None)
-    if mapped is None or len(mapped) <= RELEASE_BYTES or not hasattr(mmap, "MADV_DONTNEED"):
+    return mapped is not None and len(mapped) > RELEASE_BYTES
+
+
+def release(array: np.ndarray, samples: range, large: bool | None = None) -> None:
+    """Drop the pages of some rows of a mapped array from memory, None where it is large; what was written into a shared map stays in its file."""
+    mapped = getattr(array, "_mmap", None)
+    if mapped is None or not (_large(array) if large is None else large) or not hasattr(mmap, "MADV_DONTNEED"):
         return
     row = array.strides[0]  # of the whole sample in the file, also where the array shows a window of it
     first = samples.start * row // mmap.PAGESIZE * mmap.PAGESIZE  # advice is given for whole pages
@@ -60,9 +65,10 @@ class PixelStore:
 
     def release(self, samples: range) -> None:
         """Drop the mapped pages of `samples` from memory, so that a pass over a large file leaves no trace of itself."""
+        large = _large(self.pixels)  # flags go with their codes, of which they are a third
         for array in (self.pixels, self.flags):
             if array is not None:
-                release(array, samples)
+                release(array, samples, large)
 
     def window(self, rows: slice, columns: slice) -> PixelStore:
         """Return the store of some texels: a view, whose codes are not looked at."""
