@@ -115,3 +115,25 @@ def test_lab_matches_the_definition(dtype):
     expected = torch.tensor([oracle.lab(*row) for row in linear.double().tolist()], dtype=dtype)
     # kornia rounds the matrix and the constants of the cube root: measured 0.0046 of a unit of Lab.
     assert float((found - expected).abs().max()) < 0.01
+
+
+@pytest.mark.parametrize("scale", [1e-30, 1e-6, 1.0, 100.0, 1e4])
+def test_ciede2000_is_the_same_with_and_without_gradients(scale, dtype):
+    random = torch.Generator().manual_seed(0)
+    first = scale * (torch.rand(3, 40, 50, dtype=dtype, generator=random) - 0.4)
+    first[:, 0] = 0.0
+    first[1:, 1] = -0.0
+    second = first + 0.1 * scale * torch.rand(first.shape, dtype=dtype, generator=random)
+    second[1:, 2] = 0.0
+    plain, recorded = colour.ciede2000(first, second), colour.ciede2000(first.clone().requires_grad_(), second)
+    assert recorded.requires_grad and not plain.requires_grad
+    least = 1e-3 * scale  # below it two rounded colours are one
+    error = (plain - recorded.detach()).abs() / recorded.detach().clamp(min=least)
+    assert float(error.max()) < (1e-3 if dtype == torch.float32 else 1e-11)
+
+
+def test_ciede2000_is_safe_within_transforms(dtype):
+    grey = torch.zeros(3, 4, 5, dtype=dtype) + 40 * torch.tensor([1.0, 0, 0], dtype=dtype)[:, None, None]
+    with torch.no_grad():  # what is recorded there does not show
+        slope = torch.func.grad(lambda one: colour.ciede2000(one, grey).sum())(grey)
+    assert bool(torch.isfinite(slope).all())
