@@ -54,11 +54,9 @@ static inline void NAME(turned)(const NAME(Look) *look, const REAL *direction, i
 
 static inline REAL NAME(not_below)(REAL x, REAL least) { return x < least ? least : x; }
 
-static void NAME(see)(const NAME(Look) *look, int64_t number, int64_t first, int64_t some, NAME(Seen) *seen) {
-    NAME(turned)(look, look->light + 3 * number, first, some, seen->light);
-    NAME(turned)(look, look->view + 3 * number, first, some, seen->view);
-    NAME(turned)(look, look->half + 3 * number, first, some, seen->half);
-    const REAL u = look->square_u, v = look->square_v, least = (REAL)1e-12, rise = look->rise ? look->rise[number] : 0;
+// What directions in the texels' frames say: Smith's share, and the place on the table.
+static inline void NAME(measure)(const NAME(Look) *look, int64_t some, NAME(Seen) *seen) {
+    const REAL u = look->square_u, v = look->square_v, least = (REAL)1e-12;
     const REAL halfway = (REAL)look->size / 2;
     for (int64_t i = 0; i < some; i++) {
         const REAL l = NAME(not_below)(seen->light[2][i], 0), n = NAME(not_below)(seen->view[2][i], 0);
@@ -86,6 +84,14 @@ static void NAME(see)(const NAME(Look) *look, int64_t number, int64_t first, int
         const int32_t left = (int32_t)(x >= 0 ? x : 0), top = (int32_t)(y >= 0 ? y : 0);
         seen->s[i] = x - left, seen->t[i] = y - top, seen->at[i] = top * wide + left;
     }
+}
+
+static void NAME(see)(const NAME(Look) *look, int64_t number, int64_t first, int64_t some, NAME(Seen) *seen) {
+    NAME(turned)(look, look->light + 3 * number, first, some, seen->light);
+    NAME(turned)(look, look->view + 3 * number, first, some, seen->view);
+    NAME(turned)(look, look->half + 3 * number, first, some, seen->half);
+    NAME(measure)(look, some, seen);
+    const REAL rise = look->rise ? look->rise[number] : 0;
     if (look->fresnel)
         for (int64_t i = 0; i < some; i++) {
             const REAL fresnel = look->fresnel[first + i];
@@ -122,6 +128,14 @@ void NAME(distribution_table)(const REAL *specular, REAL *table, int64_t lobes, 
     (void)threads;
 }
 
+// One channel of the value of what was seen.
+static inline void NAME(channel)(const NAME(Look) *look, int64_t c, int64_t first, int64_t some, const NAME(Seen) *seen, REAL *to) {
+    const REAL *own = look->diffuse + c * look->texels + first;
+    const REAL *weight = look->mask ? look->mask + (look->mask_channels == 3 ? c : 0) * look->texels + first : 0;
+    for (int64_t i = 0; i < some; i++)
+        to[i] = seen->colour[c][i] * seen->reflected[i] * seen->share[i] * (weight ? weight[i] : 1) + own[i] * seen->n_dot_l[i];
+}
+
 // The value [count, 3, texels].
 void NAME(distribution)(LOOK_OF, REAL *out, int64_t threads) {
     const NAME(Look) look = LOOK_HERE;
@@ -132,13 +146,7 @@ void NAME(distribution)(LOOK_OF, REAL *out, int64_t threads) {
         for (int64_t number = 0; number < count; number++) {
             NAME(see)(&look, number, first, some, &seen);
             NAME(colours)(&look, first, some, &seen);
-            for (int c = 0; c < 3; c++) {
-                REAL *to = out + (3 * number + c) * texels + first;
-                const REAL *own = diffuse + c * texels + first;
-                const REAL *weight = mask ? mask + (mask_channels == 3 ? c : 0) * texels + first : 0;
-                for (int64_t i = 0; i < some; i++)
-                    to[i] = seen.colour[c][i] * seen.reflected[i] * seen.share[i] * (weight ? weight[i] : 1) + own[i] * seen.n_dot_l[i];
-            }
+            for (int c = 0; c < 3; c++) NAME(channel)(&look, c, first, some, &seen, out + (3 * number + c) * texels + first);
         }
     }
 }

@@ -116,11 +116,17 @@ def table_size(specular: Tensor) -> int:
     return len(specular) // 3 * (specular.shape[-1] + 1) ** 2 * 4
 
 
+def packed(found: ctypes.CDLL, specular: Tensor) -> Tensor:
+    """Return specular maps [3 lobes, size, size] as the functions look them up."""
+    table = specular.new_empty(table_size(specular))
+    call(found, "distribution_table", specular.contiguous(), table, len(specular) // 3, specular.shape[-1])
+    return table
+
+
 def arguments_of(found: ctypes.CDLL, dense: bool, directions: tuple[Tensor, ...], maps: Maps) -> list[Any]:
     """Return what the functions are given of samples and maps."""
     lobes, size = len(maps.specular) // 3, maps.specular.shape[-1]
-    table = maps.specular.new_empty(table_size(maps.specular))
-    call(found, "distribution_table", maps.specular.contiguous(), table, lobes, size)
+    table = packed(found, maps.specular)
     before = [*(one.reshape(len(one), 3) for one in directions), maps.rise, *maps.planes, table, maps.squares]
     texels, channels = maps.diffuse.shape[1] * maps.diffuse.shape[2], 1 if maps.specular_mask is None else len(maps.specular_mask)
     counts = [len(directions[0]), texels, size, lobes, channels, dense]

@@ -50,6 +50,7 @@ int torchmat_version(void) { return 2; }
 #include "frames.h"
 #include "roughness.h"
 #include "microfacet.h"
+#include "distribution_shown.h"
 #undef REAL
 #undef NAME
 #undef FLOOR
@@ -95,3 +96,4 @@ int torchmat_version(void) { return 2; }
 #include "frames.h"
 #include "roughness.h"
 #include "microfacet.h"
+#include "distribution_shown.h"

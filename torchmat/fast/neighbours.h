@@ -166,8 +166,6 @@ void NAME(neighbours)(
     }
 }
 
-typedef REAL NAME(eight) __attribute__((vector_size(EIGHT * sizeof(REAL)), aligned(sizeof(REAL)), may_alias));
-
 // PCA's value as it is shown [count, 3, texels]: `index` and `share` [count, texels, want] pick rows of `table` [., factors], which holds
 // the terms and zeros up to a multiple of EIGHT.
 void NAME(components)(

@@ -19,6 +19,7 @@ from torch import Tensor
 from torchmat import frames, safe
 from torchmat.errors import RangeError, ShapeError, check_option, check_positive, message
 from torchmat.fast import distribution as fast_distribution
+from torchmat.fast import distribution_shown
 from torchmat.fast import frames as fast_frames
 from torchmat.fast.distribution_misfit import Samples, misfit, serves
 from torchmat.geometry import normals_from_slopes, slopes_from_height, slopes_from_normals
@@ -186,6 +187,16 @@ class Distribution(Material):
             return None
         half, squared = _half(light, view)
         return misfit(light, view, half, self._for_smith(squared, self._frame()[0]), self.specular_spacing != EVEN, samples)
+
+    def in_one_pass(self, light: Tensor, view: Tensor) -> Tensor | None:
+        exponent = self.options["fresnel_exponent"]
+        if "masking" not in self.maps or not self._lobes or isinstance(exponent, Tensor) or torch.is_grad_enabled():
+            return None
+        if light.shape[-2:] == (1, 1) and view.shape[-2:] == (1, 1):
+            return None
+        own = {name: self.maps[name] for name in _FAST if name in self.maps}
+        maps = fast_distribution.Maps(None, self._frame()[0], self.maps["masking"].square(), **own)
+        return distribution_shown.shown(light, view, maps, self.specular_spacing != EVEN, exponent)
 
     def _for_smith(self, squared: Tensor, frame: Tensor | None) -> fast_distribution.Maps:
         """Return what the compiled part is given of the maps."""
