@@ -10,22 +10,19 @@ from torch import Tensor
 from torch.autograd import forward_ad
 
 from torchmat import safe
+from torchmat.parts_of import part_of
 
 _VIVID = 1e4  # times 25: from there on colours are as vivid as can be, and powers would overflow
 
 
 def srgb_to_linear(image: Tensor) -> Tensor:
     """Return linear RGB of sRGB-encoded `image` [..., 3, H, W] (IEC 61966-2-1, through kornia)."""
-    from kornia.color import rgb_to_linear_rgb
-
-    return rgb_to_linear_rgb(image)
+    return part_of("kornia.color", "rgb_to_linear_rgb")(image)
 
 
 def linear_to_srgb(image: Tensor) -> Tensor:
     """Return the sRGB encoding of linear `image` [..., 3, H, W] (IEC 61966-2-1, through kornia)."""
-    from kornia.color import linear_rgb_to_rgb
-
-    return linear_rgb_to_rgb(image)
+    return part_of("kornia.color", "linear_rgb_to_rgb")(image)
 
 
 def luminance(image: Tensor, dim: int = -3) -> Tensor:
@@ -40,9 +37,7 @@ def display(image: Tensor) -> Tensor:
 
 def srgb_to_lab(image: Tensor) -> Tensor:
     """Return CIE L*a*b* (D65) of sRGB-encoded `image` in [0, 1], planes [..., 3, H, W] (through kornia)."""
-    from kornia.color import rgb_to_lab
-
-    return rgb_to_lab(image)
+    return part_of("kornia.color", "rgb_to_lab")(image)
 
 
 def _differentiated(*tensors: Tensor) -> bool:

@@ -24,6 +24,7 @@ from torch import Tensor
 
 from torchmat import colour
 from torchmat.bootstrap import ratio_interval
+from torchmat.parts_of import part_of
 
 _MU = 5000.0
 _CAP_DB = 200.0
@@ -111,9 +112,7 @@ class SampleErrors:
             return inside.sum(dim=(1, 2), dtype=torch.float64) / valid.sum(dim=(1, 2))
 
         if min(shown.shape[-2:]) > _SSIM_WINDOW // 2:
-            from kornia.metrics import ssim
-
-            similarity = ssim(shown.float(), wanted.float(), _SSIM_WINDOW)
+            similarity = part_of("kornia.metrics", "ssim")(shown.float(), wanted.float(), _SSIM_WINDOW)
             self.ssim.append(mean(similarity.mean(dim=1)))
         # Picture by picture: of several at once the many terms of CIEDE2000 leave the processor's cache.
         apart = [colour.ciede2000(*map(colour.srgb_to_lab, pair)) for pair in zip(shown, wanted, strict=True)]

@@ -15,6 +15,7 @@ from torch import Tensor
 from torchmat import safe
 from torchmat.errors import RangeError, ShapeError, check_finite, message
 from torchmat.fast import normals as fast_normals
+from torchmat.parts_of import part_of
 
 STRENGTH_RANGE = (1.0, 8.0)
 # A height of ten texture widths is no relief of a surface; it comes from a unit taken for another.
@@ -48,11 +49,9 @@ def pad_border(image: Tensor, tiles: bool, width: int = 1) -> Tensor:
 
 def sobel(height: Tensor, tiles: bool = True) -> Tensor:
     """Return the 3 x 3 Sobel response [2, H, W] of `height` [1, H, W]: 8 times its change a texel toward +x and +y."""
-    from kornia.filters import spatial_gradient
-
     check_height("sobel", height)
     padded = pad_border(height[None], tiles)
-    found = spatial_gradient(padded, mode="sobel", order=1, normalized=False)[0, 0, :, 1:-1, 1:-1]
+    found = part_of("kornia.filters", "spatial_gradient")(padded, mode="sobel", order=1, normalized=False)[0, 0, :, 1:-1, 1:-1]
     return torch.stack((found[0], -found[1]))  # rows run downward, y runs up
 
 
