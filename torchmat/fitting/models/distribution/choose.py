@@ -72,27 +72,31 @@ class Choice:
         """The samples that a fit may see: all but those kept back while anything is to be decided."""
         return self.rest if self.open else torch.arange(len(self.fit.surface.training.btf))
 
-    def start(self, starts: dict[str, Tensor]) -> None:
-        """Choose what is chosen before the fit, by short runs with one more part each."""
+    def start(self, starts: dict[str, Tensor]) -> tuple[Raw | None, int]:
+        """Choose what is chosen before the fit, by short runs with one more part each.
+
+        Returns where the run that was best has come to, and by how many steps; None where nothing is chosen so.
+        """
         if self.undecided and float(starts["width"].min()) < _SHARP:
             self.parts = replace(self.parts, spacing=DENSE)
             self.open.insert(0, SPACING)
         if not self.trials:
-            return
+            return None, 0
         steps = self._steps(_PILOT)
         with whole("choosing parts", (len(self.trials) + 1) * steps, "fitting", show=self.fit.surface.training.progress) as bar:
-            best = self._pilot(starts, self.parts, steps)
+            raw, best = self._pilot(starts, self.parts, steps)
             self.tried.append({"lobes": self.parts.lobes, "tilt": self.parts.tilt, "psnr_db": best, "kept": True})
             for trial in self.trials:
                 rival = trial(self.parts)
                 if rival == self.parts:
                     bar.advance(steps)
                     continue
-                found = self._pilot(starts, rival, steps)
+                other, found = self._pilot(starts, rival, steps)
                 kept = found > best + _GAIN_DB
                 self.tried.append({"lobes": rival.lobes, "tilt": rival.tilt, "psnr_db": found, "kept": kept})
                 if kept:
-                    self.parts, best = rival, found
+                    self.parts, best, raw = rival, found, other
+        return raw, steps
 
     def prune(self, raw: Raw) -> tuple[Raw, int]:
         """Return the parameters without the parts that bring too little, and how many steps they went on by."""
@@ -119,13 +123,13 @@ class Choice:
     def _steps(self, usual: int) -> int:
         return max(1, round(usual * min(1.0, self.fit.options.effort)))
 
-    def _pilot(self, starts: dict[str, Tensor], parts: Parts, steps: int) -> float:
-        """Return the dB of a short run on samples that it did not see."""
+    def _pilot(self, starts: dict[str, Tensor], parts: Parts, steps: int) -> tuple[Raw, float]:
+        """Return where a short run comes to, and its dB on samples that it did not see."""
         watch = self.fit.surface.training.watch
         raw = self.fit.begin(starts, parts)
         # No pilot is noted: the curve is that of the fit.
         self.fit.solve(raw, parts, Minibatch(steps, self.fit.rate), self.rest, watch.seconds + watch.limit * _PILOTS_SHARE, None)
-        return self._agreement(raw, parts)[0]
+        return raw, self._agreement(raw, parts)[0]
 
     def _agreement(self, raw: Raw, parts: Parts) -> tuple[float, float]:
         """Return how well samples that were kept back are told, in dB: after the display root, and of linear values."""

@@ -121,24 +121,26 @@ class DistributionFit:
         with working("finding where to start", self.surface.training.progress):
             starts = find_starts(self.surface, self.level)
         self.choice = Choice(self)
-        self.choice.start(starts)
+        begun, taken = self.choice.start(starts)
         with working("taking the first steps", self.surface.training.progress):
-            raw = self.begin(starts, self.choice.parts)
-        raw, found = self._rounds(raw, _ROUNDS if self.choice.open else (sum(_ROUNDS),))
+            raw = self.begin(starts, self.choice.parts) if begun is None else begun
+        raw, found = self._rounds(raw, _ROUNDS if self.choice.open else (sum(_ROUNDS),), taken)
         parts = self.choice.parts
         figures = {"parts": parts.names, "lobes": parts.lobes, "trials": self.choice.tried, "solver_steps": found.steps}
         shared = self._shared(raw, parts, starts)
         return Fitted(self._material(raw, parts), found.reason, None, figures, history=self.history, shared=shared)
 
-    def _rounds(self, raw: dict[str, Tensor], rounds: tuple[int, ...]) -> tuple[dict[str, Tensor], Descent]:
-        """Solve for all maps; a limit of seconds is shared out as the steps are.
+    def _rounds(self, raw: dict[str, Tensor], rounds: tuple[int, ...], gone: int) -> tuple[dict[str, Tensor], Descent]:
+        """Solve for all maps, of which `gone` steps are done; a limit of seconds is shared out as the steps are.
 
         Before the last round the parts that are open are decided; what that takes of steps is a part of the round.
         """
         training = self.surface.training
         solvers = [self._solver(steps, sum(rounds), number > 0) for number, steps in enumerate(rounds)]
+        first = solvers[0].steps or 0
+        taken, watch = min(gone, first // 3) if isinstance(solvers[0], Minibatch) else 0, training.watch  # by such steps, too
+        solvers[0] = replace(solvers[0], steps=first - taken)
         every = sum(solver.steps or 0 for solver in solvers)
-        taken, watch = 0, training.watch
         with whole("fitting", every, "fitting", watch.limit - watch.seconds, training.progress):
             for number, (steps, solver) in enumerate(zip(rounds, solvers, strict=True)):
                 if number == len(rounds) - 1 and self.choice.open:
