@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import os
+from importlib import import_module
 
 import pytest
 import torch
@@ -15,8 +16,11 @@ from torchmat import Btf
 # Stored bits are those of the plain road, which every machine has; `tests/fast` takes the other one.
 os.environ["TORCHMAT_FAST"] = "0"
 
+# For tests of other things: enough to tell a flat surface from a relief that is right.
+_QUICK = {"distribution": 0.015, "microfacet": 0.015, "neural": 0.01}
 # Files whose tests say which parts a fit chooses, or what its bits are: a trial of a part takes there what steps it takes for users.
 _WHOLE_TRIALS = {"tests.fitting.test_distribution", "tests.fitting.test_microfacet", "tests.hard_cases.test_digests"}
+_WHOLE_COMPARISONS = {"tests.fitting.test_geometry_asked"}
 
 
 @pytest.fixture(scope="session")
@@ -44,20 +48,22 @@ def seeded():
 
 
 @pytest.fixture(scope="session")
-def small_network():
-    """Return the recipe of the network that a choice tries last, with a few steps."""
+def hurried_recipes():
+    """Return recipes whose comparison of flat with relief takes few steps, and so the network that a choice tries last."""
     from torchmat.fitting.recipe import RECIPES
 
-    network = RECIPES["neural"]
+    found = {name: dataclasses.replace(RECIPES[name], quick={**RECIPES[name].quick, "effort": effort}) for name, effort in _QUICK.items()}
+    network = found["neural"]
     rungs = tuple(dataclasses.replace(rung, options={**rung.options, "effort": 0.004}) for rung in network.rungs)
-    return dataclasses.replace(network, rungs=rungs)
+    return found | {"neural": dataclasses.replace(network, rungs=rungs)}
 
 
 @pytest.fixture(autouse=True)
-def hurried(request, monkeypatch, small_network):
-    """Let what ends a fit take a few steps, and so the trials of a part and the network that a choice tries last: hardly a test is about them.
+def hurried(request, monkeypatch, hurried_recipes):
+    """Let what ends a fit take a few steps, and so trials of a part, what tells flat from relief, and the network of a choice.
 
-    The tests of the finish itself take all of its steps; those of what parts a fit chooses, and of stored bits, all of a trial's.
+    Hardly a test is about them. The tests of the finish itself take all of its steps, those of what parts a fit chooses, and of
+    stored bits, all of a trial's, and those of what a surface is taken for all of that comparison's.
     """
     from torchmat.fitting import finish
     from torchmat.fitting.models.distribution import choose
@@ -65,15 +71,18 @@ def hurried(request, monkeypatch, small_network):
     from torchmat.fitting.recipe import RECIPES
     from torchmat.geometry import form_factors
 
-    module = request.module.__name__.rpartition(".")[2]
-    if request.module.__name__ not in _WHOLE_TRIALS:
+    module = request.module.__name__
+    monkeypatch.setattr(import_module("torchmat.fitting.evaluate"), "_SHADED", 2)  # the package has a function of that name
+    if module not in _WHOLE_TRIALS:
         monkeypatch.setattr(choose, "_SHORTEST", 4)
         monkeypatch.setattr(microfacet, "_FEWEST", 4)
-    if module in ("test_finish", "test_form_factors", "test_indirect"):
+    if module.rpartition(".")[2] in ("test_finish", "test_form_factors", "test_indirect"):
         return
     monkeypatch.setattr(finish, "_STEPS", 10)
     monkeypatch.setattr(form_factors, "DIRECTIONS", 24)
-    monkeypatch.setitem(RECIPES, "neural", small_network)
+    for name, recipe in hurried_recipes.items():
+        if module not in _WHOLE_COMPARISONS or name == "neural":
+            monkeypatch.setitem(RECIPES, name, recipe)
 
 
 @pytest.fixture(params=[torch.float32, torch.float64], ids=["float32", "float64"])

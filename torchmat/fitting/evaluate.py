@@ -23,6 +23,7 @@ from torchmat.progress import working
 BAND_DEG = 15
 # SSIM and CIEDE2000 cost far more than the rest: an even choice of samples, of large images the middle, is enough.
 PERCEPTUAL_SAMPLES, PERCEPTUAL_TEXELS = 256, 2_000_000
+_SHADED = 6  # times that a material is shaded for its rate, the first to warm up
 _FEWEST = 8  # samples that are looked at, however large they are
 MEASURES = ("none", "quick", "full", "auto")
 SPLITS = ("train", "held_out", "held_out_after_export")
@@ -253,7 +254,7 @@ def shading_rate(material: Material) -> float:
     light, view = light.to(material.dtype), view.to(material.dtype)
     seconds = []
     with torch.no_grad():
-        for _ in range(6):
+        for _ in range(_SHADED):
             start = time.perf_counter()
             material.shade(light, view)
             seconds.append(time.perf_counter() - start)
