@@ -18,7 +18,7 @@ from torchmat.models.parabolic import EVEN, places
 from torchmat.models.storage import MapSpec
 from torchmat.rendering import render
 from torchmat.rendering.mipmap import Pyramid
-from torchmat.report.pictures import plotting, save_figure
+from torchmat.report.pictures import bare, plotting, save_figure
 from torchmat.report.samples import Measured, degrees, polar_deg
 from torchmat.report.tables import number
 
@@ -59,7 +59,7 @@ def maps_picture(material: Material, path: Path, half: Tensor | None = None) -> 
     size = (3.2 * columns, 3.2 * rows)
     figure, axes = plotting().subplots(rows, columns, figsize=size, squeeze=False, layout="constrained")
     for axis in axes.flat[len(panels) :]:
-        axis.set_axis_off()
+        bare(axis)
     for axis, panel in zip(axes.flat, panels, strict=False):
         axis.set_title(panel.title, fontsize=8)
         panel.draw(axis)
@@ -129,7 +129,7 @@ def _image(planes: Tensor, cmap: str = "gray", **settings: Any) -> Callable[[Any
 
     def draw(axis: Any) -> None:
         axis.imshow(pixels, cmap=cmap, interpolation="nearest", aspect=aspect, **settings)
-        axis.set_axis_off()
+        bare(axis)
 
     return draw
 
@@ -183,7 +183,7 @@ def hemisphere_picture(material: Material, path: Path, size: int = 192, measured
     figure.suptitle(said + ("; orange: beyond the measured directions" if any(beyond) else ""), fontsize=9)
     for number_of, (axis, angles) in enumerate(zip(axes.flat, [place for row in COMPASS for place in row], strict=True)):
         if number_of not in drawn:
-            axis.set_axis_off()
+            bare(axis)
             continue
         _place(axis, drawn[number_of], material.size, beyond[number_of])
         axis.set_title(f"{what} {degrees(angles)}", fontsize=8, pad=3, color=_BEYOND if beyond[number_of] else "black")
