@@ -220,7 +220,7 @@ def test_a_wrong_relief_is_dropped_on_samples_that_neither_fit_saw(monkeypatch):
 
 
 def test_the_height_stays_until_the_finish(monkeypatch):
-    scene = relief_scene()
+    scene = relief_scene(rows=12, columns=12)
     wrong = 0.8 * scene.true_height.float()
     training = make_training(scene.btf(), torch.arange(90), 0, True, torch.float32, False)
     options = {"lobes": 1, "fresnel": False, "rotation": False, "specular_size": 8, "effort": 0.02}
@@ -233,8 +233,8 @@ def test_the_height_stays_until_the_finish(monkeypatch):
 
 def test_a_fit_that_ends_worse_on_the_relief_than_flat_is_the_flat_one(monkeypatch):
     """Of the fit on the relief only the long one goes astray: what the short ones said of it does not hold."""
-    scene = relief_scene()
-    upright = torch.tensor([0.0, 0.0, 1.0])[:, None, None].expand(3, 24, 24)
+    scene = relief_scene(rows=12, columns=12)
+    upright = torch.tensor([0.0, 0.0, 1.0])[:, None, None].expand(3, 12, 12)
     found = Recovery(Relief(scene.true_height.float(), upright), "made up", 1.0, 0.0, "nothing")
     monkeypatch.setattr(on_relief, "recover_relief", lambda training: found)
     fit, options = on_relief.fit_on_relief, {**FEW_STEPS["distribution"], "effort": 0.02}
