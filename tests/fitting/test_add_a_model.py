@@ -70,7 +70,7 @@ def test_it_is_optimised_by_default_and_not_left_at_its_start(truth, registered,
 
 def test_it_works_on_a_relief_by_tiles_in_compare_on_disk_and_in_pictures(truth, registered, tmp_path):
     btf = truth[1]
-    tiled = tm.fit(btf, registered, tile_size=3, steps=400, progress=False)
+    tiled = tm.fit(btf, registered, tile_size=3, steps=120, progress=False)
     assert tiled.report["figures"]["tiles"]["count"] == 4 and tiled.report["held_out"]["psnr_db"] > 30
     rows = tm.compare(btf, ["lambert", f"{registered}:steps=60"], progress=False)
     assert rows[1]["failed"] is None if "failed" in rows[1] else rows[1]["psnr_db"] > rows[0]["psnr_db"]
@@ -81,8 +81,8 @@ def test_it_works_on_a_relief_by_tiles_in_compare_on_disk_and_in_pictures(truth,
     picture = tm.render(loaded, "sphere", size=16)
     assert float(picture.max()) > 0.05
     scene = relief_scene()
-    flat = tm.fit(scene.btf(), registered, steps=200, progress=False).report["held_out"]["psnr_db"]
-    result = tm.fit(scene.btf(), registered, geometry="recover", steps=200, progress=False)
+    flat = tm.fit(scene.btf(), registered, steps=50, progress=False).report["held_out"]["psnr_db"]
+    result = tm.fit(scene.btf(), registered, geometry="recover", steps=50, progress=False)
     assert result.material.has_relief and result.report["held_out"]["psnr_db"] > flat + 1
 
 
