@@ -25,7 +25,7 @@ def test_a_flat_surface_sees_nothing_of_itself():
 @pytest.mark.parametrize("slope", [0.5, 1.0, 2.0])
 def test_the_sides_of_a_groove_fill_the_share_of_each_other_that_is_known(slope):
     # Two long plates that meet at an angle a: F = 1 - sin(a / 2) (Siegel & Howell, configuration factor C-16).
-    factors = form_factors(groove(slope, 48), directions=700).sum(dim=1).to_dense().reshape(4, 48)
+    factors = form_factors(groove(slope, 48), directions=350 if slope >= 1 else 700).sum(dim=1).to_dense().reshape(4, 48)
     expected = 1 - math.sin(math.atan2(1, slope))
     # Slopes at the bottom and on the ridge are those of neither side: four of 48 texels, measured 6.5 % at most.
     assert float(factors.mean()) == pytest.approx(expected, rel=0.08)
