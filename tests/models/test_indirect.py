@@ -140,11 +140,13 @@ def test_a_folder_keeps_both(tmp_path):
             assert_close(back.shade(LIGHT.float(), VIEW.float()), material.shade(LIGHT.float(), VIEW.float()), 5e-3)  # the height's 16 bits
 
 
-def test_a_large_relief_is_seen_smaller():
-    height = torch.nn.functional.interpolate(relief()[None], size=(200, 160), mode="bicubic")[0]
-    white = torch.full((3, 200, 160), 0.5, dtype=torch.float64)
+def test_a_large_relief_is_seen_smaller(monkeypatch):
+    assert indirect._smaller(torch.zeros(1, 200, 160)).shape == (1, 107, 86)  # 9202 of at most 9216 texels
+    monkeypatch.setattr(indirect, "_MOST_TEXELS", 24 * 24)
+    height = torch.nn.functional.interpolate(relief()[None], size=(50, 40), mode="bicubic")[0]
+    white = torch.full((3, 50, 40), 0.5, dtype=torch.float64)
     transfer = indirect.transfer(height, white, True)
-    assert transfer.shape == (9, 3, 200, 160)
+    assert transfer.shape == (9, 3, 50, 40) and indirect.small_transfer(height, white, True).shape == (9, 3, 27, 21)
     small = indirect.transfer(relief(), torch.full((3, SIZE, SIZE), 0.5, dtype=torch.float64), True)
     assert float(transfer[0].mean()) == pytest.approx(float(small[0].mean()), rel=0.25)
 
