@@ -1,6 +1,7 @@
-"""How time and memory grow with texels and with samples, for each model: fresh processes, generated data.
+"""How time and memory grow with texels and with samples, for each model, and what two threads are worth: fresh processes, generated data.
 
-``python scripts/bench/scale.py [texels] [samples] [large] [bonn] [--models ...] [--limit SECONDS]``
+``python scripts/bench/scale.py [texels] [samples] [large] [threads] [bonn] [--models ...] [--limit SECONDS]``. Exponents are those of
+processor seconds, for others may use the machine; threads are worth what they are on a quiet machine, and beside as many other programs.
 """
 
 from __future__ import annotations
@@ -8,6 +9,7 @@ from __future__ import annotations
 import argparse
 import json
 import math
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -17,17 +19,23 @@ import numpy as np
 from generated import large_btf
 from measure import RESULTS, save
 
-SIDES, FEW_SAMPLES = (64, 128, 256, 512, 1024), (21, 21)
+from torchmat.cli.threads import SPINS
+
+SIDES, FEW_SAMPLES = (64, 128, 256, 512, 1024, 2048), (9, 9)
+LARGEST = {"local_pca": 256, "distribution": 1024}  # sides from which on a model is fitted by tiles (part "large")
 SAMPLES, SMALL = ((9, 9), (21, 21), (49, 49), (81, 81), (200, 125)), 64
 BONN = (256, 81, 81)
-PARTS = ("texels", "samples", "large", "bonn")
+PARTS = ("texels", "samples", "large", "threads", "bonn")
 # Iterative models with the effort that a user would spend on data of that size; the rest takes what it needs.
 MODELS: dict[str, dict[str, Any]] = {
     "texture": {}, "lambert": {}, "ptm": {}, "hsh": {}, "phong_srf": {"residual": "half_light"}, "pca": {},
-    "sphere_images": {}, "shading_map": {}, "local_pca": {},
+    "rbf": {}, "sphere_images": {}, "shading_map": {}, "local_pca": {},
     "distribution": {"geometry": "flat", "lobes": 1, "fresnel": False, "rotation": False, "effort": 0.05, "memory_mb": 3000},
 }
+THREADED = ("texture", "lambert", "ptm", "hsh", "phong_srf", "pca")
 BONN_MODELS = {**MODELS, "lptm": {}, "neural": {"geometry": "flat", "seconds": 60}}
+THREADS = ((1024, (9, 9)), (64, (200, 125)))  # what one thread and two are measured on
+_OTHERS = 4  # programs that do nothing but count
 # 1024 x 1024 within a bound, by tiles; the distribution has one already.
 LARGE_MODELS = {name: {**MODELS[name], "memory_mb": 800} for name in ("ptm", "phong_srf", "pca", "shading_map")}
 _HELD_OUT = 48  # samples that the error is measured on
@@ -37,27 +45,33 @@ sys.path.insert(0, {here!r})
 import torch
 import torchmat as tm
 from generated import open_large
+import time
 from torchmat.machine import peak_memory_mb
 btf = open_large({folder!r}, {size})
+# What the first fit of a process loads, whatever its size, is apart.
+tm.fit(tm.load_btf(tm.sample_path()), {model!r}, measure=False, progress=False, **{options!r})
+begin = time.process_time()
 result = tm.fit(btf, {model!r}, measure=False, progress=False, **{options!r})
-peak = peak_memory_mb()
+used, peak = time.process_time() - begin, peak_memory_mb()
 rows = result.split.held_out[:: max(1, len(result.split.held_out) // {held_out})]
 found = tm.evaluate(result.material, btf, rows, perceptual=False).report
-print(json.dumps(dict(seconds=result.report["fit_seconds"], peak_rss_mb=peak, stop_reason=result.stop_reason,
+print(json.dumps(dict(seconds=result.report["fit_seconds"], processor_seconds=used, peak_rss_mb=peak, stop_reason=result.stop_reason,
     relative_error=found["relative_error"], psnr_db=found["psnr_db"], tiles=result.report["figures"].get("tiles"))))
 """
 
 
 def measured(
-    folder: Path, part: str, size: int, samples: int, model: str, options: dict[str, Any], limit: float
+    folder: Path, part: str, size: int, samples: int, model: str, options: dict[str, Any], limit: float, threads: int = 1
 ) -> dict[str, Any]:
-    """Fit once in a fresh process of at most `limit` seconds; return the row."""
+    """Fit once in a fresh process of so many threads and at most `limit` seconds; return the row."""
     code = _FIT.format(
         here=str(Path(__file__).parent), folder=str(folder), size=size, model=model, options=options, held_out=_HELD_OUT
     )
     row = {"part": part, "model": model, "options": options, "side": size, "texels": size * size, "samples": samples}
     try:
-        done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=limit, check=True)
+        environment = {**os.environ, "OMP_NUM_THREADS": str(threads), "GOMP_SPINCOUNT": str(SPINS)}
+        command = [sys.executable, "-c", code]
+        done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=limit, check=True)
         row |= json.loads(done.stdout.strip().splitlines()[-1])
     except subprocess.TimeoutExpired:
         row["failed"] = f"not done after {limit:g} s"
@@ -65,8 +79,28 @@ def measured(
         row["failed"] = error.stderr.strip().splitlines()[-1]
     told = row.get("failed")
     if told is None:
-        told = f"{row['seconds']:8.2f} s  {row['peak_rss_mb']:6.0f} MB  error {row['relative_error']:.4f}"
+        told = f"{row['seconds']:8.2f} s ({row['processor_seconds']:8.2f})  {row['peak_rss_mb']:6.0f} MB  error {row['relative_error']:.4f}"
     print(f"{part:8s} {model:14s} {size:5d}^2 x {samples:6d}  {told}", flush=True)
+    return row
+
+
+def shared_out(folder: Path, side: int, samples: int, model: str, limit: float) -> dict[str, Any]:
+    """Return seconds of one thread and of two, the least of three by turns, on a machine of its own and beside others."""
+    row: dict[str, Any] = {"part": "threads", "model": model, "side": side, "texels": side * side, "samples": samples}
+    for way, count in (("alone", 0), ("busy", _OTHERS)):
+        others = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(count)]
+        try:
+            runs = [
+                {threads: measured(folder, f"{way} {threads}", side, samples, model, MODELS[model], limit, threads) for threads in (1, 2)}
+                for _ in range(3)
+            ]
+        finally:
+            for other in others:
+                other.kill()
+                other.wait()
+        one, two = (min(run[threads].get("seconds", math.inf) for run in runs) for threads in (1, 2))
+        row |= {f"{way}, one thread": one, f"{way}, two": two, f"{way}, gain": one / two}
+    print(row, flush=True)
     return row
 
 
@@ -82,8 +116,8 @@ def exponents(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
             if len(chosen) < 3:
                 continue
             size = [row[part] for row in chosen]
-            row = {"part": f"exponent of {part}", "model": model, "time": _slope(size, [r["seconds"] for r in chosen])}
-            row["time_of_the_three_largest"] = _slope(size[-3:], [r["seconds"] for r in chosen[-3:]])
+            row = {"part": f"exponent of {part}", "model": model, "time": _slope(size, [r["processor_seconds"] for r in chosen])}
+            row["time_of_the_three_largest"] = _slope(size[-3:], [r["processor_seconds"] for r in chosen[-3:]])
             row["memory"] = _slope(size, [r["peak_rss_mb"] for r in chosen])
             found.append(row)
             largest = row["time_of_the_three_largest"]
@@ -114,13 +148,18 @@ def scale(
 
     if "texels" in parts:
         for side in SIDES:
-            # Its k-means looks at all texels over and over: on large data it is fitted by tiles (part "large").
-            run("texels", side, *FEW_SAMPLES, {n: MODELS[n] for n in MODELS if n != "local_pca" or side <= 256})
+            run("texels", side, *FEW_SAMPLES, {n: MODELS[n] for n in MODELS if side <= LARGEST.get(n, SIDES[-1])})
     if "samples" in parts:
         for lights, views in SAMPLES:
             run("samples", SMALL, lights, views, MODELS)
     if "large" in parts:
-        run("large", SIDES[-1], *FEW_SAMPLES, LARGE_MODELS)
+        run("large", 1024, 21, 21, LARGE_MODELS)
+    if "threads" in parts:
+        for side, (lights, views) in THREADS:
+            with large_btf(side, lights, views) as folder:
+                for model in [name for name in THREADED if models is None or name in models]:
+                    rows.append(shared_out(folder, side, lights * views, model, limit))
+                    save("scale", rows)
     if "bonn" in parts:
         run("bonn", *BONN, BONN_MODELS)
     rows += exponents(rows)
