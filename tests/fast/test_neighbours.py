@@ -53,7 +53,7 @@ def test_neighbours_are_the_nearest_and_ties_go_to_the_lower_number(rings, holes
     found = nearby(known, *asked)
     assert found is not None and found[0].dtype == torch.int32
     expected = by_all_distances(known, projected(*asked), min(12, len(known)))
-    assert torch.equal(found[0].long(), expected)
+    assert torch.equal(found[0].long().sort(dim=1).values, expected.sort(dim=1).values)
     fast.use(False)
     plain = neighbour_weights(known, *asked)
     assert torch.equal(plain[0].sort(dim=1).values, expected.sort(dim=1).values)

@@ -4,7 +4,8 @@
 
 #ifndef ELEMENTARY_SHARED
 #define ELEMENTARY_SHARED
-enum { BLOCK = 64 };  // texels, as many as SOME of distribution.h, that go through all steps together, so that what lies between them stays near
+// As many as SOME of distribution.h.
+enum { BLOCK = 64 };  // texels that go through all steps together, so that what lies between them stays near
 // Compiled once, not into every place that calls it: that takes the compiler twice as long.
 #define APART static __attribute__((noinline))
 #endif

@@ -134,7 +134,8 @@ APART void NAME(base)(
     REAL lit[BLOCK];
     memcpy(lit, met->n_dot_l, some * sizeof(REAL));
     if (of->rolloff)
-        for (int64_t i = 0; i < some; i++) lit[i] *= NAME(rolled)(of->rolloff, met->n_dot_l[i]) * NAME(rolled)(of->rolloff, met->n_dot_v[i]);
+        for (int64_t i = 0; i < some; i++)
+            lit[i] *= NAME(rolled)(of->rolloff, met->n_dot_l[i]) * NAME(rolled)(of->rolloff, met->n_dot_v[i]);
     if (of->layered && !of->coat)
         for (int64_t i = 0; i < some; i++) lit[i] *= NAME(through)(f0[i], by->f90[i], met->n_dot_l[i], met->n_dot_v[i]);
     for (int64_t i = 0; i < some; i++)

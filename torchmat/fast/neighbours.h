@@ -67,6 +67,85 @@ static void nearest(const Side *lights, const Side *views, const int32_t *sample
         }
     }
 }
+
+// The same of many queries at once, without a branch, where it is certain: of each side the AHEAD nearest are put in order, and
+// of their pairs those that can be among the nearest. A key is a distance in coarse whole numbers, which are at most 1 too small,
+// and what is that far away; keys of pairs are sums of two, and at most 2 too small.
+enum { AHEAD = 10, NUMBERS = 65536 };
+#define COARSE (1.0 / 32768)
+#define FAR_AWAY 9e15
+static const int ACROSS[AHEAD] = {10, 10, 8, 6, 4, 4, 3, 3, 2, 2};  // views that are paired with each light in this order
+
+// Put keys into lists in ascending order; what falls off the end is lost.
+static inline __attribute__((always_inline)) void put(double best[][TOGETHER], int levels, const double *key) {
+    for (int i = 0; i < TOGETHER; i++) {
+        double carry = key[i];
+        for (int k = 0; k < levels; k++) {
+            const double own = best[k][i], low = own < carry ? own : carry, high = own > carry ? own : carry;
+            best[k][i] = low, carry = high;
+        }
+    }
+}
+
+// Put the AHEAD nearest of one side in order, as distances and numbers; `beyond` is what all others have at least.
+static void ahead(
+    const Side *side, const double *x, const double *y, double far[AHEAD][TOGETHER], int32_t number[AHEAD][TOGETHER], double *beyond
+) {
+    double key[AHEAD][TOGETHER], best[AHEAD][TOGETHER];
+    const int64_t count = side->count < AHEAD ? side->count : AHEAD;
+    for (int k = 0; k < AHEAD; k++)
+        for (int i = 0; i < TOGETHER; i++) key[k][i] = best[k][i] = FAR_AWAY;
+    for (int i = 0; i < TOGETHER; i++) {
+        const Around of = around(side, x[i], y[i]);
+        for (int64_t k = 0; k < count; k++) key[k][i] = floor(distance_of(&of, k) * COARSE) * NUMBERS + of.order[k];
+        beyond[i] = side->count > AHEAD ? floor(at_least(&of, AHEAD) * COARSE) : FAR_AWAY;
+    }
+    for (int k = 0; k < AHEAD; k++) put(best, AHEAD, key[k]);
+    for (int k = 0; k < AHEAD; k++)
+        for (int i = 0; i < TOGETHER; i++) {
+            far[k][i] = floor(best[k][i] / NUMBERS);
+            number[k][i] = best[k][i] < FAR_AWAY ? (int32_t)(best[k][i] - far[k][i] * NUMBERS) : 0;
+        }
+}
+
+// Find the NEAR nearest of each query [x y of light, x y of view], and which of the queries are certain.
+static void nearest_of_many(
+    const Side *lights, const Side *views, const int32_t *sample, double query[4][TOGETHER], int32_t found[NEAR][TOGETHER], int32_t *certain
+) {
+    double light[AHEAD][TOGETHER], view[AHEAD + 1][TOGETHER], beyond[TOGETHER], key[TOGETHER], best[NEAR + 1][TOGETHER];
+    int32_t of_light[AHEAD][TOGETHER], of_view[AHEAD][TOGETHER];
+    const int32_t wide = (int32_t)views->count;
+    ahead(lights, query[0], query[1], light, of_light, beyond);
+    ahead(views, query[2], query[3], view, of_view, view[AHEAD]);
+    for (int i = 0; i < TOGETHER; i++) beyond[i] += view[0][i];
+    for (int k = 0; k <= NEAR; k++)
+        for (int i = 0; i < TOGETHER; i++) best[k][i] = FAR_AWAY;
+    for (int a = 0; a < AHEAD; a++) {
+        int32_t row[TOGETHER], number[TOGETHER];
+        for (int i = 0; i < TOGETHER; i++) row[i] = of_light[a][i] * wide;
+        for (int b = 0; b < ACROSS[a]; b++) {
+#pragma omp simd
+            for (int i = 0; i < TOGETHER; i++) number[i] = sample[row[i] + of_view[b][i]];
+#pragma omp simd
+            for (int i = 0; i < TOGETHER; i++) {
+                const double sum = (light[a][i] + view[b][i]) * NUMBERS + number[i];
+                key[i] = number[i] < 0 ? FAR_AWAY : sum;
+            }
+            put(best, NEAR + 1, key);
+        }
+#pragma omp simd
+        for (int i = 0; i < TOGETHER; i++) {
+            const double left = light[a][i] + view[ACROSS[a]][i];
+            beyond[i] = left < beyond[i] ? left : beyond[i];
+        }
+    }
+    for (int i = 0; i < TOGETHER; i++) {
+        const double last = floor(best[NEAR - 1][i] / NUMBERS), next = floor(best[NEAR][i] / NUMBERS);
+        certain[i] = (last + 2 <= next) & (last + 2 <= beyond[i]) & (best[NEAR - 1][i] < FAR_AWAY);
+    }
+    for (int k = 0; k < NEAR; k++)
+        for (int i = 0; i < TOGETHER; i++) found[k][i] = (int32_t)(best[k][i] - floor(best[k][i] / NUMBERS) * NUMBERS);
+}
 #endif
 
 // Solve a symmetric system of four [10 entries by rows of the lower half] of each query, in place of its right side.
@@ -146,20 +225,26 @@ void NAME(neighbours)(
     for (int64_t part = 0; part < (count + TOGETHER - 1) / TOGETHER; part++) {
         const int64_t first = part * TOGETHER, some = first + TOGETHER < count ? TOGETHER : count - first;
         REAL query[4][TOGETHER], point[NEAR][4][TOGETHER], near[NEAR][TOGETHER];
-        for (int64_t i = 0; i < TOGETHER; i++) {
-            // What is beyond the last query is that one again.
-            const int64_t number = first + (i < some ? i : some - 1);
-            int32_t *found = index + number * want;
-            const REAL *own = queries + 4 * number;
-            if (i < some) {
-                const double whole[4] = {rint(own[0] * ONE), rint(own[1] * ONE), rint(own[2] * ONE), rint(own[3] * ONE)};
-                nearest(&light, &view, sample, whole, want, found);
-            }
+        double whole[4][TOGETHER];
+        int32_t found[NEAR][TOGETHER], certain[TOGETHER] = {0};
+        for (int64_t i = 0; i < TOGETHER; i++)  // what is beyond the last query is that one again
             for (int d = 0; d < 4; d++) {
-                query[d][i] = own[d];
-                for (int64_t k = 0; k < want; k++) point[k][d][i] = known[4 * found[k] + d];
+                query[d][i] = queries[4 * (first + (i < some ? i : some - 1)) + d];
+                whole[d][i] = rint(query[d][i] * ONE);
+            }
+        if (want == NEAR) nearest_of_many(&light, &view, sample, whole, found, certain);
+        for (int64_t i = 0; i < some; i++) {
+            int32_t *own = index + (first + i) * want;
+            const double place[4] = {whole[0][i], whole[1][i], whole[2][i], whole[3][i]};
+            if (!certain[i]) nearest(&light, &view, sample, place, want, own);
+            for (int64_t k = 0; k < want; k++) {
+                if (certain[i]) own[k] = found[k][i];
+                for (int d = 0; d < 4; d++) point[k][d][i] = known[4 * own[k] + d];
             }
         }
+        for (int64_t i = some; i < TOGETHER; i++)
+            for (int64_t k = 0; k < want; k++)
+                for (int d = 0; d < 4; d++) point[k][d][i] = point[k][d][some - 1];
         NAME(weigh)(want, query, point, near);
         for (int64_t i = 0; i < some; i++)
             for (int64_t k = 0; k < want; k++) weight[(first + i) * want + k] = near[k][i];

@@ -12,7 +12,7 @@ from torchmat.fast.call import call, fits, wants_gradient
 from torchmat.fast.directions import Directions
 from torchmat.fast.switch import library
 
-_CELLS, _MOST_ON_A_SIDE, _MOST_FACTORS, _EIGHT = 32, 512, 64, 8  # as in neighbours.h
+_CELLS, _MOST_ON_A_SIDE, _MOST_FACTORS, _EIGHT, _MOST_PAIRS = 32, 512, 64, 8, 65536  # as in neighbours.h
 _FEWEST = 4096  # queries: below it a tree is as fast, for the cells must be made first
 _MOST_HOLES = 4  # places for a pair of light and view that there may be for each one that is known
 _MOST_NEIGHBOURS = 12
@@ -33,7 +33,7 @@ def neighbours(known: Tensor, queries: Tensor, whole: Tensor, one: float) -> tup
     known pairs that are not few lights by few views.
     """
     found = library()
-    if found is None or len(queries) < _FEWEST or not fits(known, queries) or wants_gradient(known, queries):
+    if found is None or len(queries) < _FEWEST or len(known) > _MOST_PAIRS or not fits(known, queries) or wants_gradient(known, queries):
         return None
     made = _sides(whole, one)
     if made is None or not bool(queries.abs().amax() <= 2):  # or no number

@@ -20,7 +20,8 @@ APART void NAME(harmonics)(
     for (int64_t order = 0; order < bands; order++) {
         for (int64_t i = 0; i < some; i++) value[i] = first, previous[i] = 0;
         for (int64_t degree = order; degree < bands; degree++) {
-            const REAL ahead = (REAL)(2 * degree - 1), behind = (REAL)(degree + order - 1), over = 1 / (REAL)(degree > order ? degree - order : 1);
+            const REAL ahead = (REAL)(2 * degree - 1), behind = (REAL)(degree + order - 1);
+            const REAL over = 1 / (REAL)(degree > order ? degree - order : 1);
             if (degree > order)
                 for (int64_t i = 0; i < some; i++) {
                     const REAL next = (ahead * (2 * light[2][i] - 1) * value[i] - behind * previous[i]) * over;
