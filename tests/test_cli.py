@@ -326,7 +326,8 @@ def test_create_makes_sphere_images_of_a_brdf_and_of_photographs(tmp_path, capsy
     arguments = ("--angles-deg", 0, 60, 120, "--picture-size", 16)
     assert run("create", tmp_path / "paint.binary", "--out", tmp_path / "fitted", *arguments) == 0
     assert "error_at_fitted_lights" in capsys.readouterr().out
-    assert run("create", tmp_path / "paint.binary", "--out", tmp_path / "paper", *arguments, "--paper", "--storage", "float") == 0
+    printed = ("--paper", "--storage", "float", "--no-pictures")
+    assert run("create", tmp_path / "paint.binary", "--out", tmp_path / "paper", *arguments, *printed) == 0
     fitted, paper = load_material(tmp_path / "fitted"), load_material(tmp_path / "paper")
     assert fitted.storage == "half" and fitted.maps["images"].shape == paper.maps["images"].shape == (9, 16, 16)
     assert paper.options["angles_deg"] == [0, 60, 120] and torch.equal(paper.maps["turn"], paper_turn())
@@ -334,7 +335,7 @@ def test_create_makes_sphere_images_of_a_brdf_and_of_photographs(tmp_path, capsy
     spheres.mkdir()
     for number, part in enumerate(paper.maps["images"].detach().split(3)):
         write_image(spheres / f"{number}.exr", part.permute(1, 2, 0).numpy())
-    assert run("create", spheres, "--out", tmp_path / "taken", *arguments, "--circle", 8, 8, 8) == 0
+    assert run("create", spheres, "--out", tmp_path / "taken", *arguments, "--circle", 8, 8, 8, "--no-pictures") == 0
     taken = load_material(tmp_path / "taken").maps["images"][:, 4:12, 4:12].detach()
     assert_close(taken, paper.maps["images"][:, 4:12, 4:12].detach(), 0.05)
     refused(capsys, "ascend from 0", "create", spheres, "--out", tmp_path / "x", "--angles-deg", 10, 5, "--circle", 8, 8, 8)
