@@ -204,7 +204,7 @@ def test_held_out_samples_are_never_looked_at():
 
 
 def test_a_fit_with_recovery_never_looks_at_held_out_samples():
-    scene = relief_scene()
+    scene = relief_scene(rows=12, columns=12)
     split = tm.split_samples(scene.btf(), 0.2, "pair", 4)
     poisoned = scene.images.astype(np.float32)
     poisoned[split.held_out.numpy()] = 1e6
