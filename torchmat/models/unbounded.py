@@ -36,7 +36,7 @@ def map_of(spec: MapSpec, parameter: Tensor, scale: Tensor | None = None) -> Ten
     if spec.low is None:
         return parameter if scale is None else parameter * scale
     if spec.high is None:
-        return spec.low + parameter.exp()
+        return spec.low + parameter.exp() if spec.low else parameter.exp()
     return spec.low + (spec.high - spec.low) / (1 + (-parameter).exp())
 
 
