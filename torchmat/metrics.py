@@ -24,6 +24,7 @@ from torch import Tensor
 
 from torchmat import colour
 from torchmat.bootstrap import ratio_interval
+from torchmat.fast import errors as fast_errors
 from torchmat.parts_of import part_of
 
 _MU = 5000.0
@@ -71,6 +72,14 @@ def _sums(prediction: Tensor, target: Tensor, valid: Tensor, clipped: Tensor) ->
     return torch.stack([*found, valid.sum(dim=(1, 2, 3), dtype=torch.float64)])
 
 
+def _sums_by_bands(*planes: Tensor) -> Tensor:
+    """Return what `_sums` does, of bands of rows, one after the other."""
+    count, _, height, width = planes[0].shape
+    rows = max(1, BAND_VALUES // (count * 3 * width))
+    bands = [[part[..., top : top + rows, :] for part in planes] for top in range(0, height, rows)]
+    return torch.stack([_sums(*band) for band in bands]).sum(dim=0) if len(bands) > 1 else _sums(*planes)
+
+
 @dataclass
 class SampleErrors:
     """Sums per sample, from which every pooled figure and every band is made. Lists grow by `add`."""
@@ -92,9 +101,8 @@ class SampleErrors:
         Those two are measured in a `window` of rows and columns. What is worked on at a time is bounded, whatever the size.
         """
         planes = (prediction, target, valid.expand_as(target), clipped.expand_as(target))
-        rows = max(1, BAND_VALUES // (target.shape[0] * 3 * target.shape[3]))
-        bands = [[part[..., top : top + rows, :] for part in planes] for top in range(0, target.shape[2], rows)]
-        sums = torch.stack([_sums(*band) for band in bands]).sum(dim=0) if len(bands) > 1 else _sums(*planes)
+        sums = fast_errors.sums(prediction, target, valid, clipped)
+        sums = _sums_by_bands(*planes) if sums is None else sums
         for found, part in zip((self.squared, self.energy, self.display, self.log, self.count), sums, strict=True):
             found.append(part)
         if bool(perceptual.any()):

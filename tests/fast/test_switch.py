@@ -10,10 +10,12 @@ import threading
 from pathlib import Path
 
 import pytest
+import torch
 
 from torchmat import fast
 from torchmat.errors import RangeError
 from torchmat.fast import build, switch
+from torchmat.fast.roughness import roughness
 
 REAL = next((found for name in ("cc", "gcc", "clang") if (found := build.shutil.which(name))), None)
 needs_compiler = pytest.mark.skipif(REAL is None, reason="no C compiler")
@@ -23,6 +25,7 @@ needs_compiler = pytest.mark.skipif(REAL is None, reason="no C compiler")
 def anew(monkeypatch):
     """Decide anew in each test, and as before after it."""
     monkeypatch.setattr(switch, "_found", None)
+    monkeypatch.setattr(switch, "_double", None)
     fast.use(True)
     yield
     fast.use(None)
@@ -144,6 +147,21 @@ def test_parts_of_other_processors_compilers_and_sources_have_other_names(monkey
     monkeypatch.setattr(build, "FOLDER", tmp_path)
     names.add(build.key(["/usr/bin/cc"]))
     assert len(names) == 5
+
+
+@needs_compiler
+def test_double_precision_is_a_part_of_its_own_that_few_ask_for(compiler, caplog):
+    calls = compiler(f'case "$*" in *-DDOUBLE*) exit 1;; esac\nexec {REAL} "$@"')
+    single, double = torch.rand(2, 3, 4), torch.rand(2, 3, 4, dtype=torch.float64)
+    assert roughness(single, 0.1) is not None and "-DDOUBLE" not in calls.read_text()
+    with caplog.at_level(logging.INFO, "torchmat"):
+        assert roughness(double, 0.1) is None and roughness(double, 0.1) is None  # it cannot be made: plain torch, said once
+    assert [one.message.split(":")[0] for one in caplog.records] == ["torchmat computes with plain torch in double precision"]
+    assert roughness(single, 0.1) is not None
+    switch.forget()
+    compiler(f'exec {REAL} "$@"')
+    assert roughness(double, 0.1).dtype == torch.float64
+    assert len(list(Path(os.environ["TORCHMAT_CACHE"], "compiled").iterdir())) == 3  # both by this script, and the one before
 
 
 @needs_compiler

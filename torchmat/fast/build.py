@@ -1,4 +1,4 @@
-"""A compiled part: C of this package, made by the machine's own compiler, kept in the cache folder.
+"""A compiled part: C of this package, made by the machine's own compiler, kept in the cache folder; one for each precision.
 
 Its name there holds what it depends on: the source, the compiler, the processor. So parts of other versions and of other
 machines that share the folder are never met, and two processes that compile at once end with the same file.
@@ -42,9 +42,9 @@ class Built(NamedTuple):
     said: str = ""
 
 
-def build() -> Built:
-    """Load the compiled part of this machine, which is made first where it is not kept. Raises NotBuilt, with why."""
-    compiler = find_compiler()
+def build(double: bool = False) -> Built:
+    """Load the compiled part of this machine and precision, which is made first where it is not kept. Raises NotBuilt, with why."""
+    compiler = [*find_compiler(), *(["-DDOUBLE"] if double else [])]
     try:
         kept: Path | None = cache_place() / "compiled"
     except DataError:
@@ -78,13 +78,13 @@ def find_compiler() -> list[str]:
 
 
 def key(compiler: Sequence[str]) -> str:
-    """Return what the name of the compiled part begins with: a digest of source, compiler and processor."""
+    """Return what the name of the compiled part begins with: a digest of source, compiler, flags and processor."""
     parts = [path.read_bytes() for path in sorted(FOLDER.iterdir()) if path.suffix in (".c", ".h")]
     program = Path(compiler[0]).resolve()
     with suppress(OSError):
         about = program.stat()
         parts.append(f"{program} {about.st_size} {about.st_mtime_ns}".encode())
-    return hashlib.sha256(b"\0".join([*parts, " ".join(compiler).encode(), processor().encode()])).hexdigest()[:24]
+    return hashlib.sha256(b"\0".join([*parts, " ".join([*compiler, *_ALWAYS]).encode(), processor().encode()])).hexdigest()[:24]
 
 
 def processor() -> str:

@@ -1,4 +1,4 @@
-// Everything that is compiled: each part once in single and once in double precision.
+// Everything that is compiled, in single precision, or in double where DOUBLE is defined: each is a part of its own.
 //
 // Whatever is shared out among threads is worked out by one of them, in one order, so that no bit depends on how many
 // there are. REAL is the precision, NAME(x) the name of x in it.
@@ -23,52 +23,7 @@ int torchmat_shares(void) {
 // Changes where what the functions take does: a part that was kept from before is not used.
 int torchmat_version(void) { return 2; }
 
-#define REAL float
-#define WHOLE int32_t
-#define UNSIGNED uint32_t
-#define MANTISSA 23
-#define BIAS 127
-#define WHOLE_AT 12582912.0f  // 1.5 2^23: what is added to it leaves its whole part in the last bits
-#define LN2_HIGH 0.693359375f
-#define LN2_LOW -2.12194440e-4f
-#define MOST_EXPONENT 87.3f
-#define LOGARITHM_TERMS 4
-#define EXPONENTIAL_TERMS 8
-#define TINY FLT_MIN
-#define ABSOLUTE fabsf
-#define NAME(x) AS(x, _float)
-#define FLOOR floorf
-#define SQRT sqrtf
-#define CEIL ceilf
-#include "look_up.h"
-#include "rays.h"
-#include "distribution.h"
-#include "elementary.h"
-#include "sums.h"
-#include "neighbours.h"
-#include "distribution_misfit.h"
-#include "frames.h"
-#include "roughness.h"
-#include "microfacet.h"
-#include "distribution_shown.h"
-#undef REAL
-#undef NAME
-#undef FLOOR
-#undef SQRT
-#undef CEIL
-#undef WHOLE
-#undef UNSIGNED
-#undef MANTISSA
-#undef BIAS
-#undef WHOLE_AT
-#undef LN2_HIGH
-#undef LN2_LOW
-#undef MOST_EXPONENT
-#undef LOGARITHM_TERMS
-#undef EXPONENTIAL_TERMS
-#undef TINY
-#undef ABSOLUTE
-
+#ifdef DOUBLE
 #define REAL double
 #define WHOLE int64_t
 #define UNSIGNED uint64_t
@@ -86,6 +41,25 @@ int torchmat_version(void) { return 2; }
 #define FLOOR floor
 #define SQRT sqrt
 #define CEIL ceil
+#else
+#define REAL float
+#define WHOLE int32_t
+#define UNSIGNED uint32_t
+#define MANTISSA 23
+#define BIAS 127
+#define WHOLE_AT 12582912.0f  // 1.5 2^23: what is added to it leaves its whole part in the last bits
+#define LN2_HIGH 0.693359375f
+#define LN2_LOW -2.12194440e-4f
+#define MOST_EXPONENT 87.3f
+#define LOGARITHM_TERMS 4
+#define EXPONENTIAL_TERMS 8
+#define TINY FLT_MIN
+#define ABSOLUTE fabsf
+#define NAME(x) AS(x, _float)
+#define FLOOR floorf
+#define SQRT sqrtf
+#define CEIL ceilf
+#endif
 #include "look_up.h"
 #include "rays.h"
 #include "distribution.h"
@@ -95,5 +69,6 @@ int torchmat_version(void) { return 2; }
 #include "distribution_misfit.h"
 #include "frames.h"
 #include "roughness.h"
+#include "errors.h"
 #include "microfacet.h"
 #include "distribution_shown.h"

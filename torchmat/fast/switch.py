@@ -24,6 +24,7 @@ class _Road:
 
 _asked: bool | None = None
 _found: _Road | None = None
+_double: _Road | None = None  # that of double precision, which few ask for
 
 
 def use(fast: bool | None) -> None:
@@ -49,6 +50,18 @@ def wanted() -> bool:
 def library() -> ctypes.CDLL | None:
     """Return the compiled part, made on first use; None for the plain road."""
     return _decided().library if wanted() else None
+
+
+def double_library() -> ctypes.CDLL | None:
+    """Return the compiled part of double precision, which is made when it is first asked for; None for the plain road."""
+    global _double
+    if library() is None:
+        return None
+    if _double is None:
+        with _lock:
+            if _double is None:
+                _double = _decide_double()
+    return _double.library
 
 
 def road() -> str:
@@ -83,7 +96,15 @@ def _decide() -> _Road:
     return _Road(found.library, ": ".join((COMPILED, "; ".join(said))) if said else COMPILED)
 
 
+def _decide_double() -> _Road:
+    try:
+        return _Road(build(double=True).library, COMPILED)
+    except NotBuilt as error:
+        _log.info("torchmat computes with plain torch in double precision: %s.", error)
+        return _Road(None, f"{PLAIN}: {error}")
+
+
 def forget() -> None:
     """Decide anew at the next use: for tests of what decides."""
-    global _found
-    _found = None
+    global _found, _double
+    _found = _double = None
