@@ -79,7 +79,7 @@ def measured(
         row["failed"] = error.stderr.strip().splitlines()[-1]
     told = row.get("failed")
     if told is None:
-        told = f"{row['seconds']:8.2f} s ({row['processor_seconds']:8.2f})  {row['peak_rss_mb']:6.0f} MB  error {row['relative_error']:.4f}"
+        told = f"{row['seconds']:8.2f} s ({_used(row):8.2f})  {row['peak_rss_mb']:6.0f} MB  error {row['relative_error']:.4f}"
     print(f"{part:8s} {model:14s} {size:5d}^2 x {samples:6d}  {told}", flush=True)
     return row
 
@@ -116,14 +116,18 @@ def exponents(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
             if len(chosen) < 3:
                 continue
             size = [row[part] for row in chosen]
-            row = {"part": f"exponent of {part}", "model": model, "time": _slope(size, [r["processor_seconds"] for r in chosen])}
-            row["time_of_the_three_largest"] = _slope(size[-3:], [r["processor_seconds"] for r in chosen[-3:]])
+            row = {"part": f"exponent of {part}", "model": model, "time": _slope(size, [_used(r) for r in chosen])}
+            row["time_of_the_three_largest"] = _slope(size[-3:], [_used(r) for r in chosen[-3:]])
             row["memory"] = _slope(size, [r["peak_rss_mb"] for r in chosen])
             found.append(row)
             largest = row["time_of_the_three_largest"]
             told = f"time {row['time']:.2f} ({largest:.2f} of the three largest)  memory {row['memory']:.2f}"
             print(f"{row['part']:20s} {model:14s} {told}", flush=True)
     return found
+
+
+def _used(row: dict[str, Any]) -> float:
+    return row.get("processor_seconds", row["seconds"])  # of rows from before the processor's were counted
 
 
 def _slope(size: list[float], cost: list[float]) -> float:
