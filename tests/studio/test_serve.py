@@ -13,6 +13,7 @@ import urllib.request
 import numpy as np
 import pytest
 import torch
+import uvicorn
 from tests.studio.serving import wool
 
 import torchmat as tm
@@ -86,3 +87,13 @@ def test_from_one_picture_to_a_page_that_a_second_studio_joins_until_ctrl_c(tmp_
     made, created = tm.load_material(folder), tm.load_material(tmp_path / "created")
     assert all(torch.equal(made.maps[name], created.maps[name]) for name in created.maps) and made.maps.keys() == created.maps.keys()
     assert oct(os.stat(tmp_path / ".photo_material.studio").st_mode & 0o777) == "0o700"
+
+
+def test_ctrl_c_is_told_even_where_the_server_ends_as_if_by_itself(tmp_path, monkeypatch):
+    def run(server, sockets):
+        server.handle_exit(signal.SIGINT, None)
+        assert server.should_exit
+
+    monkeypatch.setattr(uvicorn.Server, "run", run)
+    with pytest.raises(KeyboardInterrupt):
+        serve.open_studio(wool(tmp_path / "wool", 8), browser=False)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import logging
 import os
+import signal
 import socket
 import sys
 from collections.abc import Sequence
@@ -138,10 +139,19 @@ def _serve(place, workers, listening: socket.socket, port: int, token: str, btf,
     from torchmat.studio.live import Live
 
     _log_to_stderr()
+    class Server(uvicorn.Server):
+        interrupted = False
+
+        def handle_exit(self, sig, frame) -> None:
+            self.interrupted |= sig == signal.SIGINT
+            super().handle_exit(sig, frame)
+
     live = Live(place, workers[0], others, btf, workers[1])
-    server = uvicorn.Server(config_of(application(live, port, token)))
+    server = Server(config_of(application(live, port, token)))
     live.failed = lambda: setattr(server, "should_exit", True)
     server.run(sockets=[listening])
+    if server.interrupted:  # it raises this itself, at a moment at which others may take it for theirs
+        raise KeyboardInterrupt
     return live.failure
 
 
