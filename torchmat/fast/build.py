@@ -17,7 +17,6 @@ import tempfile
 from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import NamedTuple
 
 from torchmat.cache_place import cache_place
 from torchmat.errors import DataError
@@ -35,36 +34,26 @@ class NotBuilt(Exception):
     """There is no compiled part, and why."""
 
 
-class Built(NamedTuple):
-    """A compiled part that is loaded, and what there is to say of it: an empty text for nothing."""
+def build(double: bool = False) -> ctypes.CDLL:
+    """Return the compiled part of this machine and precision, which is made first where it is not kept. Raises NotBuilt, with why.
 
-    library: ctypes.CDLL
-    said: str = ""
-
-
-def build(double: bool = False) -> Built:
-    """Load the compiled part of this machine and precision, which is made first where it is not kept. Raises NotBuilt, with why."""
+    What cannot be kept is not made: each process would wait for the compiler anew.
+    """
     compiler = [*find_compiler(), *(["-DDOUBLE"] if double else [])]
+    step = "TORCHMAT_CACHE names another one"
     try:
-        kept: Path | None = cache_place() / "compiled"
-    except DataError:
-        kept = None
-    if kept is not None:
-        name = key(compiler)
-        found = _kept(kept, name)
-        if found is not None:
-            return Built(found)
-        try:
-            kept.mkdir(parents=True, exist_ok=True)
-            return _made(compiler, kept, name)
-        except OSError as error:
-            said = f"the cache folder cannot be written ({error.strerror or error}), so it is compiled anew in each process"
-    else:
-        said = "there is no cache folder, so it is compiled anew in each process"
+        kept = cache_place() / "compiled"
+    except DataError as error:
+        raise NotBuilt(f"there is no cache folder to keep a compiled part in; {step}") from error
+    name = key(compiler)
+    found = _kept(kept, name)
+    if found is not None:
+        return found
     try:
-        return _made(compiler, Path(tempfile.gettempdir()), None)._replace(said=said)
+        kept.mkdir(parents=True, exist_ok=True)
+        return _made(compiler, kept, name)
     except OSError as error:
-        raise NotBuilt(f"no folder to compile in ({error})") from error
+        raise NotBuilt(f"the cache folder cannot be written ({error.strerror or error}); {step}") from error
 
 
 def find_compiler() -> list[str]:
@@ -135,8 +124,8 @@ def _ways(compiler: Sequence[str], folder: Path, result: Path) -> list[list[list
     ]
 
 
-def _made(compiler: Sequence[str], folder: Path, name: str | None) -> Built:
-    """Compile in a folder of its own within `folder`, load, and keep the result there under a name that begins so, None for not at all."""
+def _made(compiler: Sequence[str], folder: Path, name: str) -> ctypes.CDLL:
+    """Compile in a folder of its own within `folder`, load, and keep the result there under a name that begins so."""
     place = Path(tempfile.mkdtemp(prefix=".compiling-", dir=folder))
     try:
         failed = ""
@@ -149,9 +138,8 @@ def _made(compiler: Sequence[str], folder: Path, name: str | None) -> Built:
             except (OSError, AttributeError) as error:
                 failed = f"what the compiler made cannot be loaded: {_line(str(error))}"
                 continue
-            if name is not None:
-                os.replace(place / "kernels.so", folder / _name_of(name, place / "kernels.so"))
-            return Built(library)
+            os.replace(place / "kernels.so", folder / _name_of(name, place / "kernels.so"))
+            return library
         raise NotBuilt(failed)
     finally:
         shutil.rmtree(place, ignore_errors=True)

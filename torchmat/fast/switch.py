@@ -89,16 +89,16 @@ def _decide() -> _Road:
     except NotBuilt as error:
         _log.info("torchmat computes with plain torch: %s.", error)
         return _Road(None, f"{PLAIN}: {error}")
-    said = [] if found.library.torchmat_shares() else ["one thread, for the compiler has no OpenMP"]
-    said += [found.said] if found.said else []
-    if said:
-        _log.info("torchmat's compiled part: %s.", "; ".join(said))
-    return _Road(found.library, ": ".join((COMPILED, "; ".join(said))) if said else COMPILED)
+    if found.torchmat_shares():
+        return _Road(found, COMPILED)
+    said = "one thread, for the compiler has no OpenMP"
+    _log.info("torchmat's compiled part: %s.", said)
+    return _Road(found, f"{COMPILED}: {said}")
 
 
 def _decide_double() -> _Road:
     try:
-        return _Road(build(double=True).library, COMPILED)
+        return _Road(build(double=True), COMPILED)
     except NotBuilt as error:
         _log.info("torchmat computes with plain torch in double precision: %s.", error)
         return _Road(None, f"{PLAIN}: {error}")
