@@ -4,9 +4,7 @@
 // texels (half vector, Schlick's rise) is given. A few texels at a time go through all samples, so that their maps and
 // sums stay near; what all texels share is summed strip by strip, a fixed number of them.
 
-#ifndef DISTRIBUTION_SHARED
-#define DISTRIBUTION_SHARED
-enum { SOME = 64, STRIPS = 16 };
+enum { STRIPS = 16 };
 #define LOOK_OF                                                                                                       \
     const REAL *light, const REAL *view, const REAL *half, const REAL *rise, const REAL *frame, const REAL *diffuse, \
         const REAL *mask, const REAL *fresnel, const REAL *index, const REAL *table, const REAL *squares,             \
@@ -14,7 +12,6 @@ enum { SOME = 64, STRIPS = 16 };
 #define LOOK_HERE                                                                                                  \
     {light, view, half, rise, frame, diffuse, mask, fresnel, index, table, squares[0], squares[1], texels, size, \
      lobes, mask_channels, dense}
-#endif
 
 // What is looked at: samples light, view, half [count, 3] and rise [count]; maps of `texels`, NULL for one that is not there:
 // frame [xyz, along across normal], diffuse [3], mask [mask_channels], fresnel, index [lobes]; `table` packed specular maps.
@@ -26,9 +23,9 @@ typedef struct {
 
 // One sample of some texels: directions in their frames, and what the value is made of.
 typedef struct {
-    REAL light[3][SOME], view[3][SOME], half[3][SOME], n_dot_l[SOME], n_dot_v[SOME], light_length[SOME], view_length[SOME];
-    REAL denominator[SOME], share[SOME], reflected[SOME], x[SOME], y[SOME], s[SOME], t[SOME], colour[3][SOME];
-    int32_t at[SOME];  // the tap to the upper left on a packed table, and how far from it: s to the right, t down
+    REAL light[3][BLOCK], view[3][BLOCK], half[3][BLOCK], n_dot_l[BLOCK], n_dot_v[BLOCK], light_length[BLOCK], view_length[BLOCK];
+    REAL denominator[BLOCK], share[BLOCK], reflected[BLOCK], x[BLOCK], y[BLOCK], s[BLOCK], t[BLOCK], colour[3][BLOCK];
+    int32_t at[BLOCK];  // the tap to the upper left on a packed table, and how far from it: s to the right, t down
 } NAME(Seen);
 
 // Two taps side by side on the packed table.
@@ -41,7 +38,7 @@ static inline NAME(eight) NAME(both)(REAL left, REAL right) {
 static inline NAME(four) NAME(left_of)(NAME(eight) pair) { return (NAME(four)){pair[0], pair[1], pair[2], pair[3]}; }
 static inline NAME(four) NAME(right_of)(NAME(eight) pair) { return (NAME(four)){pair[4], pair[5], pair[6], pair[7]}; }
 
-static inline void NAME(turned)(const NAME(Look) *look, const REAL *direction, int64_t first, int64_t some, REAL to[3][SOME]) {
+static inline void NAME(turned)(const NAME(Look) *look, const REAL *direction, int64_t first, int64_t some, REAL to[3][BLOCK]) {
     for (int axis = 0; axis < 3; axis++) {
         if (!look->frame) {
             for (int64_t i = 0; i < some; i++) to[axis][i] = direction[axis];
@@ -52,24 +49,22 @@ static inline void NAME(turned)(const NAME(Look) *look, const REAL *direction, i
     }
 }
 
-static inline REAL NAME(not_below)(REAL x, REAL least) { return x < least ? least : x; }
-
 // What directions in the texels' frames say: Smith's share, and the place on the table.
 static inline void NAME(measure)(const NAME(Look) *look, int64_t some, NAME(Seen) *seen) {
     const REAL u = look->square_u, v = look->square_v, least = (REAL)1e-12;
     const REAL halfway = (REAL)look->size / 2;
     for (int64_t i = 0; i < some; i++) {
-        const REAL l = NAME(not_below)(seen->light[2][i], 0), n = NAME(not_below)(seen->view[2][i], 0);
+        const REAL l = NAME(above)(seen->light[2][i], 0), n = NAME(above)(seen->view[2][i], 0);
         const REAL lx = seen->light[0][i], ly = seen->light[1][i], vx = seen->view[0][i], vy = seen->view[1][i];
-        const REAL of_light = SQRT(NAME(not_below)(l * l + lx * lx * u + ly * ly * v, least));
-        const REAL of_view = SQRT(NAME(not_below)(n * n + vx * vx * u + vy * vy * v, least));
+        const REAL of_light = SQRT(NAME(above)(l * l + lx * lx * u + ly * ly * v, least));
+        const REAL of_view = SQRT(NAME(above)(n * n + vx * vx * u + vy * vy * v, least));
         const REAL denominator = l * of_view + n * of_light + (REAL)1e-4;
         seen->n_dot_l[i] = l, seen->n_dot_v[i] = n;
         seen->light_length[i] = of_light, seen->view_length[i] = of_view;
         seen->denominator[i] = denominator, seen->share[i] = l / denominator;
     }
     for (int64_t i = 0; i < some; i++) {
-        const REAL scale = 1 / (1 + NAME(not_below)(seen->half[2][i], 0));
+        const REAL scale = 1 / (1 + NAME(above)(seen->half[2][i], 0));
         const REAL x = seen->half[0][i] * scale, y = seen->half[1][i] * scale;
         const REAL denser = look->dense ? 1 / SQRT(SQRT(x * x + y * y + (REAL)(1.0 / 65536))) : 1;
         seen->x[i] = (x * denser + 1) * halfway - (REAL)0.5;
@@ -140,8 +135,8 @@ static inline void NAME(channel)(const NAME(Look) *look, int64_t c, int64_t firs
 void NAME(distribution)(LOOK_OF, REAL *out, int64_t threads) {
     const NAME(Look) look = LOOK_HERE;
 #pragma omp parallel for num_threads((int)threads) schedule(static)
-    for (int64_t part = 0; part < (texels + SOME - 1) / SOME; part++) {
-        const int64_t first = part * SOME, some = first + SOME < texels ? SOME : texels - first;
+    for (int64_t part = 0; part < (texels + BLOCK - 1) / BLOCK; part++) {
+        const int64_t first = part * BLOCK, some = first + BLOCK < texels ? BLOCK : texels - first;
         NAME(Seen) seen;
         for (int64_t number = 0; number < count; number++) {
             NAME(see)(&look, number, first, some, &seen);
@@ -159,7 +154,7 @@ typedef struct {
 // Carry the gradients of the specular colours, `of_colour`, to the table and to where it is looked up, `of_x` and `of_y`.
 static void NAME(pull_colours)(
     const NAME(Look) *look, const NAME(Sums) *sums, int64_t first, int64_t some, const NAME(Seen) *seen,
-    REAL of_colour[3][SOME], REAL *of_x, REAL *of_y
+    REAL of_colour[3][BLOCK], REAL *of_x, REAL *of_y
 ) {
     const int64_t wide = look->size + 1;
     const REAL last = (REAL)(look->size - 1);
@@ -189,7 +184,7 @@ static void NAME(pull_colours)(
 
 // Add the gradient of a turned direction to that of the frame.
 static inline void NAME(pull_frame)(
-    const NAME(Look) *look, REAL *sums, const REAL *direction, int64_t first, int64_t some, REAL of[3][SOME]
+    const NAME(Look) *look, REAL *sums, const REAL *direction, int64_t first, int64_t some, REAL of[3][BLOCK]
 ) {
     for (int from = 0; from < 3; from++)
         for (int axis = 0; axis < 3; axis++) {
@@ -203,7 +198,7 @@ static void NAME(pull)(
     const NAME(Look) *look, const NAME(Sums) *sums, int64_t number, int64_t first, int64_t some, const NAME(Seen) *seen, const REAL *above,
     int64_t apart
 ) {
-    REAL of_colour[3][SOME], of_lobe[SOME], of_l[SOME], of_light[3][SOME], of_view[3][SOME], of_half[3][SOME], of_x[SOME], of_y[SOME];
+    REAL of_colour[3][BLOCK], of_lobe[BLOCK], of_l[BLOCK], of_light[3][BLOCK], of_view[3][BLOCK], of_half[3][BLOCK], of_x[BLOCK], of_y[BLOCK];
     const int64_t texels = look->texels;
     for (int64_t i = 0; i < some; i++) of_lobe[i] = of_l[i] = 0;
     for (int c = 0; c < 3; c++) {
@@ -240,7 +235,7 @@ static void NAME(pull)(
     }
     NAME(pull_colours)(look, sums, first, some, seen, of_colour, of_x, of_y);
     const REAL u = look->square_u, v = look->square_v, least = (REAL)1e-12, halfway = (REAL)look->size / 2;
-    REAL of_u[SOME], of_v[SOME];
+    REAL of_u[BLOCK], of_v[BLOCK];
     for (int64_t i = 0; i < some; i++) {
         const REAL of_share = of_lobe[i] * seen->reflected[i], of_denominator = -of_share * seen->share[i] / seen->denominator[i];
         const REAL lx = seen->light[0][i], ly = seen->light[1][i], vx = seen->view[0][i], vy = seen->view[1][i];
@@ -262,7 +257,7 @@ static void NAME(pull)(
     sums->squares[0] += total_u, sums->squares[1] += total_v;
     if (!look->frame) return;
     for (int64_t i = 0; i < some; i++) {
-        const REAL z = seen->half[2][i], scale = 1 / (1 + NAME(not_below)(z, 0));
+        const REAL z = seen->half[2][i], scale = 1 / (1 + NAME(above)(z, 0));
         const REAL x = seen->half[0][i] * scale, y = seen->half[1][i] * scale;
         REAL to_x = of_x[i] * halfway, to_y = -of_y[i] * halfway;
         if (look->dense) {
@@ -309,7 +304,6 @@ static void NAME(taken_from_table)(const REAL *of_table, REAL *of_specular, int6
     }
 }
 
-#ifndef GRADIENTS_OF
 #define GRADIENTS_OF                                                                                                          \
     REAL *of_frame, REAL *of_diffuse, REAL *of_mask, REAL *of_fresnel, REAL *of_index, REAL *of_specular, REAL *of_squares, \
         REAL *of_rise, REAL *of_table
@@ -320,21 +314,20 @@ static void NAME(taken_from_table)(const REAL *of_table, REAL *of_specular, int6
     NAME(gather)(of_squares, 2, 1);                 \
     NAME(gather)(of_rise, count, 1);                \
     NAME(taken_from_table)(of_table, of_specular, lobes, size);
-#endif
 
 // The gradients for those of the value, `above` [count, 3, texels]. Table, squares and rise have STRIPS rows, of which the first ends
 // as their sum.
 void NAME(distribution_gradients)(LOOK_OF, const REAL *above, GRADIENTS_OF, int64_t threads) {
     const NAME(Look) look = LOOK_HERE;
-    const int64_t parts = (texels + SOME - 1) / SOME, entries = 4 * lobes * (size + 1) * (size + 1);
+    const int64_t parts = (texels + BLOCK - 1) / BLOCK, entries = 4 * lobes * (size + 1) * (size + 1);
 #pragma omp parallel for num_threads((int)threads) schedule(static)
     for (int64_t strip = 0; strip < STRIPS; strip++) {
         const NAME(Sums) sums = GRADIENTS_HERE;
         NAME(Seen) seen;
-        const int64_t from = parts * strip / STRIPS * SOME, to = parts * (strip + 1) / STRIPS * SOME;
+        const int64_t from = parts * strip / STRIPS * BLOCK, to = parts * (strip + 1) / STRIPS * BLOCK;
         NAME(nothing_yet)(&look, &sums, count, from, (to < texels ? to : texels) - from);
         for (int64_t part = parts * strip / STRIPS; part < parts * (strip + 1) / STRIPS; part++) {
-            const int64_t first = part * SOME, some = first + SOME < texels ? SOME : texels - first;
+            const int64_t first = part * BLOCK, some = first + BLOCK < texels ? BLOCK : texels - first;
             for (int64_t number = 0; number < count; number++) {
                 NAME(see)(&look, number, first, some, &seen);
                 NAME(colours)(&look, first, some, &seen);

@@ -19,18 +19,18 @@ static inline void NAME(shown)(const NAME(Samples) *samples, const REAL *values,
     if (power == 0)
         for (int64_t i = 0; i < some; i++) shown[i] = values[i];
     else
-        for (int64_t i = 0; i < some; i++) shown[i] = NAME(power)(NAME(not_below)(values[i], 0) + darkest, power);
+        for (int64_t i = 0; i < some; i++) shown[i] = NAME(power)(NAME(above)(values[i], 0) + darkest, power);
 }
 
 // Return the misfit of one sample of some texels; `above` [3] gets its gradient in their value, `of_ambient` that of the ambient, if not NULL.
 static double NAME(misfit)(
     const NAME(Look) *look, const NAME(Samples) *samples, int64_t number, int64_t first, int64_t some, const NAME(Seen) *seen,
-    REAL above[3][SOME], REAL *of_ambient
+    REAL above[3][BLOCK], REAL *of_ambient
 ) {
     const int64_t texels = look->texels, row = samples->rows[number];
     const uint8_t *flags = samples->flags + row * texels + first;
     const REAL *lit = samples->lit ? samples->lit + samples->lit_rows[number] * texels + first : 0;
-    REAL weight[SOME], squares[SOME], found[SOME], shown[SOME], target[SOME];
+    REAL weight[BLOCK], squares[BLOCK], found[BLOCK], shown[BLOCK], target[BLOCK];
     const REAL darkest = samples->darkest, power = samples->power;
     for (int64_t i = 0; i < some; i++) weight[i] = samples->weights[flags[i]], squares[i] = 0;
     for (int c = 0; c < 3; c++) {
@@ -70,24 +70,24 @@ void NAME(distribution_misfit)(
 ) {
     const NAME(Look) look = LOOK_HERE;
     const NAME(Samples) samples = {pixels, lit, ambient, weights, flags, rows, lit_rows, (REAL)darkest, (REAL)power};
-    const int64_t parts = (texels + SOME - 1) / SOME, entries = 4 * lobes * (size + 1) * (size + 1);
+    const int64_t parts = (texels + BLOCK - 1) / BLOCK, entries = 4 * lobes * (size + 1) * (size + 1);
 #pragma omp parallel for num_threads((int)threads) schedule(static)
     for (int64_t strip = 0; strip < STRIPS; strip++) {
         const NAME(Sums) sums = GRADIENTS_HERE;
         NAME(Seen) seen;
-        REAL above[3][SOME];
+        REAL above[3][BLOCK];
         double total = 0;
-        const int64_t from = parts * strip / STRIPS * SOME, to = parts * (strip + 1) / STRIPS * SOME, own = (to < texels ? to : texels) - from;
+        const int64_t from = parts * strip / STRIPS * BLOCK, to = parts * (strip + 1) / STRIPS * BLOCK, own = (to < texels ? to : texels) - from;
         if (gradients) NAME(nothing_yet)(&look, &sums, count, from, own);
         if (gradients && of_ambient)
             for (int c = 0; c < 3; c++) memset(of_ambient + c * texels + from, 0, own * sizeof(REAL));
         for (int64_t part = parts * strip / STRIPS; part < parts * (strip + 1) / STRIPS; part++) {
-            const int64_t first = part * SOME, some = first + SOME < texels ? SOME : texels - first;
+            const int64_t first = part * BLOCK, some = first + BLOCK < texels ? BLOCK : texels - first;
             for (int64_t number = 0; number < count; number++) {
                 NAME(see)(&look, number, first, some, &seen);
                 NAME(colours)(&look, first, some, &seen);
                 total += NAME(misfit)(&look, &samples, number, first, some, &seen, above, gradients ? of_ambient : 0);
-                if (gradients) NAME(pull)(&look, &sums, number, first, some, &seen, above[0], SOME);
+                if (gradients) NAME(pull)(&look, &sums, number, first, some, &seen, above[0], BLOCK);
             }
         }
         of_strips[strip] = total;

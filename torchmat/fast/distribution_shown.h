@@ -1,7 +1,7 @@
 // The distribution material's value as it is shown, without gradients, where texels have directions of their own.
 
 // Turn the directions of a block into the texels' frames.
-static inline void NAME(turned_each)(const NAME(Look) *look, const REAL *direction[3], int64_t first, int64_t some, REAL to[3][SOME]) {
+static inline void NAME(turned_each)(const NAME(Look) *look, const REAL *direction[3], int64_t first, int64_t some, REAL to[3][BLOCK]) {
     for (int axis = 0; axis < 3; axis++) {
         if (!look->frame) {
             memcpy(to[axis], direction[axis], some * sizeof(REAL));
@@ -14,10 +14,10 @@ static inline void NAME(turned_each)(const NAME(Look) *look, const REAL *directi
 
 // Half vectors, and pi times what is reflected along them by Fresnel's rise of this exponent.
 APART void NAME(halve)(
-    const NAME(Look) *look, REAL exponent, const REAL *light[3], const REAL *view[3], int64_t first, int64_t some, REAL half[3][SOME],
+    const NAME(Look) *look, REAL exponent, const REAL *light[3], const REAL *view[3], int64_t first, int64_t some, REAL half[3][BLOCK],
     REAL *reflected
 ) {
-    REAL grazing[SOME];
+    REAL grazing[BLOCK];
     for (int64_t i = 0; i < some; i++) {
         const REAL x = light[0][i] + view[0][i], y = light[1][i] + view[1][i], z = light[2][i] + view[2][i];
         const REAL length = SQRT(NAME(above)(x * x + y * y + z * z, (REAL)1e-24)), shrink = 1 / length;
@@ -42,9 +42,9 @@ void NAME(distribution_shown)(
         0, 0, 0, 0, frame, diffuse, mask, fresnel, index, table, squares[0], squares[1], texels, size, lobes, mask_channels, dense,
     };
 #pragma omp parallel for num_threads((int)threads) schedule(static)
-    for (int64_t part = 0; part < (texels + SOME - 1) / SOME; part++) {
-        const int64_t first = part * SOME, some = first + SOME < texels ? SOME : texels - first;
-        REAL light_room[3][SOME], view_room[3][SOME], half[3][SOME], value[SOME];
+    for (int64_t part = 0; part < (texels + BLOCK - 1) / BLOCK; part++) {
+        const int64_t first = part * BLOCK, some = first + BLOCK < texels ? BLOCK : texels - first;
+        REAL light_room[3][BLOCK], view_room[3][BLOCK], half[3][BLOCK], value[BLOCK];
         const REAL *halves[3] = {half[0], half[1], half[2]};
         NAME(Seen) seen;
         for (int64_t number = 0; number < count; number++) {

@@ -2,13 +2,10 @@
 //
 // As in torchmat/safe.py: what is below the smallest normal number counts as 0, and NaN stays NaN.
 
-#ifndef ELEMENTARY_SHARED
-#define ELEMENTARY_SHARED
 // As many as SOME of distribution.h.
 enum { BLOCK = 64 };  // texels that go through all steps together, so that what lies between them stays near
 // Compiled once, not into every place that calls it: that takes the compiler twice as long.
 #define APART static __attribute__((noinline))
-#endif
 
 typedef union {
     REAL real;

@@ -1,10 +1,7 @@
 // Sums of errors of pictures, as `metrics._sums` has them: squared error, energy, squared errors on a display and of logarithms, and
 // how many values count. One pass over the values of a sample, in a fixed number of strips.
 
-#ifndef ERRORS_SHARED
-#define ERRORS_SHARED
 enum { ERROR_SUMS = 5, ERROR_STRIPS = 8, ERROR_LANES = 8 };
-#endif
 
 // The encoding of sRGB, of values within 0 to 1.
 static inline REAL NAME(encoded)(REAL x) {

@@ -60,10 +60,10 @@ int torchmat_version(void) { return 2; }
 #define SQRT sqrtf
 #define CEIL ceilf
 #endif
+#include "elementary.h"
 #include "look_up.h"
 #include "rays.h"
 #include "distribution.h"
-#include "elementary.h"
 #include "sums.h"
 #include "neighbours.h"
 #include "distribution_misfit.h"

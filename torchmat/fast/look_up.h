@@ -3,8 +3,6 @@
 // Maps are packed first: wider by BORDER texels on each side, so that no place has to ask where the map ends, and four
 // channels beside each other, which one instruction reads. The packed gradient is added to in the order of the places.
 
-#ifndef LOOK_UP_SHARED
-#define LOOK_UP_SHARED
 enum { BORDER = 3, LANES = 4, PLACES_AT_A_TIME = 2048 };
 
 // Return the texel that stands at place `i` of a map of `size` that goes on beyond its ends.
@@ -15,7 +13,6 @@ static inline int64_t texel_at(int64_t i, int64_t size, int64_t tiles) {
     }
     return i < 0 ? 0 : i >= size ? size - 1 : i;
 }
-#endif
 
 typedef REAL NAME(four) __attribute__((vector_size(4 * sizeof(REAL)), aligned(sizeof(REAL)), may_alias));
 

@@ -1,9 +1,6 @@
 // The microfacet material's value as it is shown, without gradients, in one pass: models/microfacet.py.
 
-#ifndef MICROFACET_SHARED
-#define MICROFACET_SHARED
 #define GRAZING 1e-4
-#endif
 
 // Maps of `texels`, NULL for a part that is not there; roughness has one or two channels.
 typedef struct {

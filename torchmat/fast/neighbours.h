@@ -3,8 +3,6 @@
 // It is models/angular.py. Pairs are few lights by few views: about the cell where a query's light lies, lights are walked in
 // the order of their distance from its centre, and views likewise, until none that is left can be nearer than those found.
 
-#ifndef NEIGHBOURS_SHARED
-#define NEIGHBOURS_SHARED
 enum { CELLS = 32, NEAR = 12, TOGETHER = 16, MOST_ON_A_SIDE = 512, MOST_FACTORS = 64, EIGHT = 8 };  // as in neighbours.py
 #define ONE 16777216.0  // coordinates are whole numbers of 2^-24: squares of distances are exact, and ties are ties
 
@@ -146,7 +144,6 @@ static void nearest_of_many(
     for (int k = 0; k < NEAR; k++)
         for (int i = 0; i < TOGETHER; i++) found[k][i] = (int32_t)(best[k][i] - floor(best[k][i] / NUMBERS) * NUMBERS);
 }
-#endif
 
 // Solve a symmetric system of four [10 entries by rows of the lower half] of each query, in place of its right side.
 static inline void NAME(solve)(REAL m[10][TOGETHER], REAL x[4][TOGETHER]) {

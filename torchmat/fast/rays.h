@@ -1,9 +1,6 @@
 // Rays that walk over a height field, one after the other: each stops where nothing that comes can change what it found.
 
-#ifndef RAYS_SHARED
-#define RAYS_SHARED
 enum { RAYS_AT_A_TIME = 512 };
-#endif
 
 // A height [rows, columns] that goes on by two texels to the right and downward, and how it goes on.
 typedef struct {

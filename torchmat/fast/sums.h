@@ -1,10 +1,7 @@
 // The value of the models whose maps weigh known functions of light and view, and of Lambert's, texel by texel in one pass.
 
-#ifndef SUMS_SHARED
-#define SUMS_SHARED
 enum { COSINE, POLYNOMIAL, HALF, HALF_LIGHT, QUADRATIC, HARMONIC };  // as in sums.py
 enum { MOST_TERMS = 16, MOST_BANDS = 4 };
-#endif
 
 // Hemispherical harmonics, as models/bases.py has them: `scales` of each degree and order.
 APART void NAME(harmonics)(

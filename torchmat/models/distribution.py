@@ -194,13 +194,12 @@ class Distribution(Material):
             return None
         if light.shape[-2:] == (1, 1) and view.shape[-2:] == (1, 1):
             return None
-        own = {name: self.maps[name] for name in _FAST if name in self.maps}
-        maps = fast_distribution.Maps(None, self._frame()[0], self.maps["masking"].square(), **own)
+        maps = self._for_smith(None, self._frame()[0])  # the rise is each texel's own
         return distribution_shown.shown(light, view, maps, self.specular_spacing != EVEN, exponent)
 
-    def _for_smith(self, squared: Tensor, frame: Tensor | None) -> fast_distribution.Maps:
-        """Return what the compiled part is given of the maps."""
-        rise = self._rise(squared) if "fresnel" in self.maps else None
+    def _for_smith(self, squared: Tensor | None, frame: Tensor | None) -> fast_distribution.Maps:
+        """Return what the compiled part is given of the maps; `squared` are the lengths that Fresnel's rise comes from, None for no rise."""
+        rise = self._rise(squared) if squared is not None and "fresnel" in self.maps else None
         own = {name: self.maps[name] for name in _FAST if name in self.maps}
         return fast_distribution.Maps(rise, frame, self.maps["masking"].square(), **own)
 
